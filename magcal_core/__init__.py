@@ -1,0 +1,45 @@
+"""magcal's science: arrays in, arrays out; no web, no database, no clock, no environment.
+
+The names below are loaded when they are first used, so that importing the package costs nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from magcal_core.calibration.result import Calibration as Calibration
+    from magcal_core.field.dipole import DirectDipole as DirectDipole
+    from magcal_core.field.igrf import Igrf as Igrf
+    from magcal_core.orbit.sgp4 import Sgp4Orbit as Sgp4Orbit
+    from magcal_core.pipeline import CalibrationOptions as CalibrationOptions
+    from magcal_core.pipeline import calibrate as calibrate
+    from magcal_core.samples import Samples as Samples
+    from magcal_core.sensor import SensorModel as SensorModel
+    from magcal_core.simulate import simulate as simulate
+    from magcal_core.telemetry import read_samples as read_samples
+
+_HOME: Final[dict[str, str]] = {
+    "Calibration": "calibration.result",
+    "CalibrationOptions": "pipeline",
+    "DirectDipole": "field.dipole",
+    "Igrf": "field.igrf",
+    "Samples": "samples",
+    "SensorModel": "sensor",
+    "Sgp4Orbit": "orbit.sgp4",
+    "calibrate": "pipeline",
+    "read_samples": "telemetry",
+    "simulate": "simulate",
+}
+
+__all__ = sorted(_HOME)  # noqa: PLE0605
+
+
+def __getattr__(name: str) -> object:
+    """Load a public name from its module."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value: object = getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
