@@ -1,0 +1,1 @@
+"""Measurements against peers and bare kernels, taken side by side in one run."""
