@@ -1,0 +1,52 @@
+"""Every plot, once, in Python: dashboard, report and notebook draw the same; data in, plotly figures out."""
+
+from app.figures.parameters import (
+    AblationRow,
+    ablation_bar,
+    compare_sets,
+    correlation_matrix,
+    parameter_history,
+    rms_history,
+    short_name,
+    tle_age_history,
+)
+from app.figures.residuals import (
+    before_after,
+    residual_autocorrelation,
+    residual_histogram,
+    residual_map,
+    residual_sphere,
+    residual_time,
+)
+from app.figures.sessions import housekeeping, raw_field, sphere_coverage
+from app.figures.studies import coefficient_errors, energy_terms, error_against_angle, settling
+from app.figures.style import DARK, LIGHT, MAX_POINTS, THEMES, Theme
+
+__all__ = [
+    "DARK",
+    "LIGHT",
+    "MAX_POINTS",
+    "THEMES",
+    "AblationRow",
+    "Theme",
+    "ablation_bar",
+    "before_after",
+    "coefficient_errors",
+    "compare_sets",
+    "correlation_matrix",
+    "energy_terms",
+    "error_against_angle",
+    "housekeeping",
+    "parameter_history",
+    "raw_field",
+    "residual_autocorrelation",
+    "residual_histogram",
+    "residual_map",
+    "residual_sphere",
+    "residual_time",
+    "rms_history",
+    "settling",
+    "short_name",
+    "sphere_coverage",
+    "tle_age_history",
+]

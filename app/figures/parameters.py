@@ -1,0 +1,244 @@
+"""Figures of parameter sets: their history with honest error bars, their correlations, their choice of model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from app.figures.style import GRADE_SYMBOLS, LIGHT, Layout, Theme, Trace, axis, make_figure, milliseconds, scatter
+from app.records import ParameterSetRecord, parameter_values
+from magcal_core.samples import Floats
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+GROUPS: Final = (
+    ("bias_nt", "bias, nT", "b"),
+    ("scale", "scale factor", "k"),
+    ("nonorthogonality_deg", "angle, deg", "ε"),
+)
+"""Group of parameters -> its axis title and its letter."""
+
+
+@dataclass(frozen=True, slots=True)
+class AblationRow:
+    """One model that was tried: its name and its residual RMS, nT, in the fit and cross-validated."""
+
+    name: str
+    rms_nt: float
+    cross_validated_rms_nt: float | None
+    is_chosen: bool
+
+
+def parameter_history(sets: Sequence[ParameterSetRecord], theme: Theme = LIGHT) -> Figure:
+    """Return bias, scale and angles of ``sets`` over the middle of their data, bars of one honest standard error."""
+    ordered = sorted(sets, key=lambda record: record["data_from"])
+    x = _middle_ms(ordered)
+    traces: list[Trace] = []
+    layout: Layout = {"height": 640, "xaxis": axis(theme, "UTC (middle of the data)", type="date", anchor="y3")}
+    for row, (group, title, letter) in enumerate(GROUPS):
+        name = "" if row == 0 else str(row + 1)
+        top = 1.0 - row * 0.35
+        layout[f"yaxis{name}"] = axis(theme, title, domain=[top - 0.3, top])
+        for i in range(3):
+            trace = _history_trace(ordered, group, i, theme) | {"x": x, "yaxis": f"y{name}"}
+            traces.append(trace | {"name": f"{letter}{i + 1}", "legendgroup": letter})
+    return make_figure(traces, theme, layout)
+
+
+def tle_age_history(sets: Sequence[ParameterSetRecord], theme: Theme = LIGHT) -> Figure:
+    """Return the age of the oldest orbit of each of ``sets`` with the limits of 3 and 14 days."""
+    ordered = sorted(sets, key=lambda record: record["data_from"])
+    ages = [_oldest_orbit_days(record) for record in ordered]
+    trace = _by_grade(ordered, theme) | {"x": _middle_ms(ordered), "y": ages, "name": "age of the orbit"}
+    layout: Layout = {
+        "height": 240,
+        "showlegend": False,
+        "xaxis": axis(theme, "UTC", type="date"),
+        "yaxis": axis(theme, "orbit's age, days", rangemode="tozero"),
+        "shapes": [
+            {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": day, "y1": day}
+            | {"line": {"color": theme.muted, "width": 1, "dash": "dot"}}
+            for day in (3, 14)
+            if any(age is not None and age > day / 2 for age in ages)
+        ],
+    }
+    return make_figure([trace], theme, layout)
+
+
+def rms_history(sets: Sequence[ParameterSetRecord], theme: Theme = LIGHT) -> Figure:
+    """Return the residual RMS of ``sets`` after calibration, in the fit and cross-validated, marked by verdict."""
+    ordered = sorted(sets, key=lambda record: record["data_from"])
+    x = _middle_ms(ordered)
+    fitted = [record["statistics"]["after"]["rms_nt"] for record in ordered]
+    held_out = [record["statistics"]["cross_validated_rms_nt"] for record in ordered]
+    traces: list[Trace] = [
+        _by_grade(ordered, theme) | {"x": x, "y": fitted, "name": "in the fit"},
+        scatter(
+            x,
+            held_out,
+            "markers",
+            name="cross-validated",
+            marker={"symbol": "line-ew-open", "size": 11, "color": theme.muted},
+        ),
+    ]
+    layout: Layout = {
+        "height": 280,
+        "xaxis": axis(theme, "UTC", type="date"),
+        "yaxis": axis(theme, "residual RMS, nT", rangemode="tozero"),
+    }
+    return make_figure(traces, theme, layout)
+
+
+def correlation_matrix(record: ParameterSetRecord, theme: Theme = LIGHT) -> Figure:
+    """Return the correlations of the parameters' honest covariance as a map with the numbers written in."""
+    covariance = np.array(record["covariance"], dtype=np.float64)
+    correlation = correlation_of(covariance)
+    names = [short_name(name) for name in record["parameter_names"]]
+    trace: Trace = {
+        "type": "heatmap",
+        "x": names,
+        "y": names,
+        "z": np.round(correlation, 3),
+        "zmin": -1.0,
+        "zmax": 1.0,
+        "colorscale": [list(stop) for stop in theme.diverging],
+        "colorbar": {"thickness": 12, "outlinewidth": 0},
+        "hovertemplate": "%{y}, %{x}: %{z:.2f}<extra></extra>",
+        "xgap": 1,
+        "ygap": 1,
+    }
+    if len(names) <= 12:
+        trace |= {"text": [[f"{value:.2f}" for value in row] for row in correlation], "texttemplate": "%{text}"}
+    layout: Layout = {
+        "height": 140 + 30 * max(len(names), 6),
+        "xaxis": axis(theme, side="bottom", showgrid=False),
+        "yaxis": axis(theme, autorange="reversed", showgrid=False),
+    }
+    return make_figure([trace], theme, layout)
+
+
+def correlation_of(covariance: Floats) -> Floats:
+    """Return the correlation matrix of a covariance; a parameter without variance correlates with nothing."""
+    spread = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
+    scale = np.outer(spread, spread)
+    result: Floats = np.divide(covariance, scale, out=np.zeros_like(covariance), where=scale > 0)
+    np.fill_diagonal(result, 1.0)
+    return result
+
+
+def ablation_bar(rows: Sequence[AblationRow], theme: Theme = LIGHT) -> Figure:
+    """Return residual RMS of every model that was tried, in the fit and cross-validated; the chosen one is marked."""
+    names = [f"▸ {row.name}" if row.is_chosen else row.name for row in rows]
+    bars: list[tuple[str, str, list[float | None]]] = [
+        ("in the fit", theme.series[5], [row.rms_nt for row in rows]),
+        ("cross-validated", theme.before, [row.cross_validated_rms_nt for row in rows]),
+    ]
+    traces: list[Trace] = [
+        {"type": "bar", "orientation": "h", "y": names, "x": values, "name": label}
+        | {"marker": {"color": colour}, "hovertemplate": "%{x:.1f} nT"}
+        for label, colour, values in bars
+    ]
+    layout: Layout = {
+        "height": 120 + 44 * max(len(rows), 2),
+        "barmode": "group",
+        "xaxis": axis(theme, "residual RMS, nT", rangemode="tozero"),
+        "yaxis": axis(theme, autorange="reversed"),
+    }
+    return make_figure(traces, theme, layout)
+
+
+def compare_sets(first: ParameterSetRecord, second: ParameterSetRecord, theme: Theme = LIGHT) -> Figure:
+    """Return the difference second - first of each parameter in its own combined honest standard errors."""
+    values = [parameter_values(record["parameters"]) for record in (first, second)]
+    errors = [parameter_values(record["standard_errors"]) for record in (first, second)]
+    common = [name for name in first["parameter_names"] if name in values[1]]
+    combined = np.array([np.hypot(errors[0].get(name, 0.0), errors[1].get(name, 0.0)) for name in common])
+    difference = np.array([values[1][name] - values[0][name] for name in common])
+    in_errors = np.divide(difference, combined, out=np.full(len(common), np.nan), where=combined > 0)
+    trace: Trace = {
+        "type": "bar",
+        "x": [short_name(name) for name in common],
+        "y": in_errors,
+        "marker": {"color": [theme.before if abs(value) > 3 else theme.after for value in in_errors]},
+        "hovertemplate": "%{x}: %{y:.1f} standard errors<extra></extra>",
+    }
+    layout: Layout = {
+        "height": 300,
+        "xaxis": axis(theme),
+        "yaxis": axis(theme, "difference, standard errors", zerolinecolor=theme.muted),
+        "shapes": [
+            {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": bound, "y1": bound}
+            | {"line": {"color": theme.muted, "width": 1, "dash": "dot"}}
+            for bound in (-3, 3)
+        ],
+    }
+    return make_figure([trace], theme, layout)
+
+
+def short_name(name: str) -> str:
+    """Return a parameter's name as figures and tables write it: ``bias_nt[0]`` is ``b1``."""
+    letters: Mapping[str, str] = {group: letter for group, _, letter in GROUPS}
+    group, bracket, rest = name.partition("[")
+    if not bracket:
+        return "Δt" if group == "time_offset_s" else group
+    number = int(rest.rstrip("]")) + 1
+    if group in letters:
+        return f"{letters[group]}{number}"
+    return f"{group.removeprefix('regressors.')} {number}"
+
+
+def _middle_ms(sets: Sequence[ParameterSetRecord]) -> Floats:
+    ends = [[record["data_from"].rstrip("Z"), record["data_until"].rstrip("Z")] for record in sets]
+    times = np.array(ends, dtype="datetime64[ns]").reshape(-1, 2)
+    middle: Floats = milliseconds(times).mean(axis=1)
+    return middle
+
+
+def _by_grade(sets: Sequence[ParameterSetRecord], theme: Theme) -> Trace:
+    grades = [record["verdict"]["grade"] for record in sets]
+    return {
+        "type": "scatter",
+        "mode": "markers",
+        "text": grades,
+        "marker": {
+            "size": 8,
+            "color": [theme.grades.get(grade, theme.muted) for grade in grades],
+            "symbol": [GRADE_SYMBOLS.get(grade, "circle") for grade in grades],
+        },
+    }
+
+
+def _history_trace(sets: Sequence[ParameterSetRecord], group: str, i: int, theme: Theme) -> Trace:
+    name = f"{group}[{i}]"
+    value = [parameter_values(record["parameters"])[name] for record in sets]
+    honest = [parameter_values(record["standard_errors"]).get(name) for record in sets]
+    formal = [parameter_values(record["formal_standard_errors"]).get(name) for record in sets]
+    grades = [record["verdict"]["grade"] for record in sets]
+    unknown = float("nan")
+    return {
+        "type": "scatter",
+        "mode": "lines+markers",
+        "y": value,
+        "error_y": {"type": "data", "array": honest, "thickness": 1.2, "width": 3, "color": theme.series[i]},
+        "customdata": [
+            [unknown if h is None else h, unknown if f is None else f, grade]
+            for h, f, grade in zip(honest, formal, grades, strict=True)
+        ],
+        "hovertemplate": "%{y:.6~g} ± %{customdata[0]:.3~g} (formal %{customdata[1]:.3~g}), %{customdata[2]}",
+        "line": {"color": theme.series[i], "width": 1},
+        "marker": {
+            "size": 7,
+            "color": theme.series[i],
+            "symbol": [GRADE_SYMBOLS.get(grade, "circle") for grade in grades],
+        },
+    }
+
+
+def _oldest_orbit_days(record: ParameterSetRecord) -> float | None:
+    ages = [orbit.get("age_days") for orbit in record["provenance"].get("orbits", [])]
+    known = [abs(age) for age in ages if isinstance(age, int | float)]
+    return max(known) if known else None

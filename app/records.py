@@ -1,0 +1,142 @@
+"""The records of the service as programs read them from JSON: a parameter set and its parts, checked on reading."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Final
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+from typing_extensions import TypedDict
+
+from magcal_core.errors import Fault, InputError
+
+_LOOSE: Final = ConfigDict(extra="allow")
+
+
+class ParametersRecord(TypedDict):
+    """Parameters of the sensor model, or errors of them."""
+
+    bias_nt: list[float]
+    scale: list[float]
+    nonorthogonality_deg: list[float]
+    time_offset_s: float | None
+    regressors: dict[str, list[float]]
+
+
+class VerdictRecord(TypedDict):
+    """The verdict in one word, with its reasons as ``code: text``."""
+
+    grade: str
+    reasons: list[str]
+
+
+class ResidualStatisticsRecord(TypedDict):
+    """Statistics of a residual, nT."""
+
+    mean_nt: float
+    std_nt: float
+    rms_nt: float
+    max_abs_nt: float
+    max_percent: float
+
+
+class StatisticsRecord(TypedDict):
+    """What the calibration used and what it left."""
+
+    __pydantic_config__ = _LOOSE  # type: ignore[misc]
+
+    samples: int
+    rejected: int
+    cross_validated_rms_nt: float | None
+    before: ResidualStatisticsRecord
+    after: ResidualStatisticsRecord
+
+
+class ObservabilityRecord(TypedDict):
+    """How well the samples determine the parameters."""
+
+    __pydantic_config__ = _LOOSE  # type: ignore[misc]
+
+    index: float | None
+    condition_number: float | None
+    sphere_coverage: float
+    weak_directions: list[str]
+
+
+class ProvenanceRecord(TypedDict, total=False):
+    """Where a parameter set comes from."""
+
+    __pydantic_config__ = _LOOSE  # type: ignore[misc]
+
+    software: str | dict[str, str]
+    inputs: list[dict[str, object]]
+    orbits: list[dict[str, object]]
+    options: dict[str, object]
+
+
+class ParameterSetIds(TypedDict, total=False):
+    """What only the service knows of a parameter set."""
+
+    id: str
+    satellite: str
+    magnetometer: str
+    session_ids: list[str]
+    job_id: str | None
+    created_at: str
+
+
+class ParameterSetRecord(ParameterSetIds):
+    """A parameter set as ``GET /parameter-sets/{id}`` and ``magcal calibrate --json`` give it."""
+
+    __pydantic_config__ = _LOOSE  # type: ignore[misc]
+
+    status: str
+    verdict: VerdictRecord
+    data_from: str
+    data_until: str
+    method: str
+    field_model: str
+    orbit_model: str
+    parameters: ParametersRecord
+    standard_errors: ParametersRecord
+    formal_standard_errors: ParametersRecord
+    parameter_names: list[str]
+    covariance: list[list[float]]
+    matrix: list[list[float]]
+    correction_matrix: list[list[float]]
+    candidates: list[dict[str, object]]
+    statistics: StatisticsRecord
+    observability: ObservabilityRecord
+    warnings: list[str]
+    provenance: ProvenanceRecord
+
+
+@cache
+def _adapter() -> TypeAdapter[ParameterSetRecord]:
+    return TypeAdapter(ParameterSetRecord)
+
+
+def parse_parameter_set(text: str | bytes) -> ParameterSetRecord:
+    """Return the parameter set in JSON ``text``.
+
+    Raises
+    ------
+    InputError
+        The text is not JSON or lacks what a parameter set has; the faults name the fields.
+    """
+    try:
+        return _adapter().validate_json(text)
+    except ValidationError as error:
+        faults = [Fault(".".join(str(part) for part in e["loc"]) or "document", e["msg"]) for e in error.errors()]
+        raise InputError("this is not a parameter set", faults) from error
+
+
+def parameter_values(parameters: ParametersRecord) -> dict[str, float]:
+    """Return every parameter by the name that it has in ``parameter_names``."""
+    groups = {group: parameters[group] for group in ("bias_nt", "scale", "nonorthogonality_deg")}
+    values = {f"{group}[{i}]": group_values[i] for group, group_values in groups.items() for i in range(3)}
+    for name, change in parameters["regressors"].items():
+        values |= {f"regressors.{name}[{i}]": change[i] for i in range(len(change))}
+    if parameters["time_offset_s"] is not None:
+        values["time_offset_s"] = parameters["time_offset_s"]
+    return values
