@@ -34,18 +34,27 @@ class AblationRow:
 
 
 def parameter_history(sets: Sequence[ParameterSetRecord], theme: Theme = LIGHT) -> Figure:
-    """Return bias, scale and angles of ``sets`` over the middle of their data, bars of one honest standard error."""
+    """Return bias, scale and angles of ``sets`` over the middle of their data, bars of one honest standard error.
+
+    Nine panels, one a parameter, because a drift of tens of nT is invisible on an axis that spans all three biases.
+    """
     ordered = sorted(sets, key=lambda record: record["data_from"])
     x = _middle_ms(ordered)
     traces: list[Trace] = []
-    layout: Layout = {"height": 640, "xaxis": axis(theme, "UTC (middle of the data)", type="date", anchor="y3")}
+    layout: Layout = {"height": 600, "showlegend": False}
     for row, (group, title, letter) in enumerate(GROUPS):
-        name = "" if row == 0 else str(row + 1)
         top = 1.0 - row * 0.35
-        layout[f"yaxis{name}"] = axis(theme, title, domain=[top - 0.3, top])
         for i in range(3):
-            trace = _history_trace(ordered, group, i, theme) | {"x": x, "yaxis": f"y{name}"}
-            traces.append(trace | {"name": f"{letter}{i + 1}", "legendgroup": letter})
+            number = 3 * row + i + 1
+            name = "" if number == 1 else str(number)
+            left = i * 0.35
+            layout[f"xaxis{name}"] = axis(
+                theme, type="date", domain=[left, left + 0.3], anchor=f"y{name}", matches="x", nticks=4
+            )
+            label = f"{letter}{i + 1}" if group == "scale" else f"{letter}{i + 1}, {title.split(', ')[1]}"
+            layout[f"yaxis{name}"] = axis(theme, label, domain=[top - 0.27, top], anchor=f"x{name}", nticks=5)
+            trace = _history_trace(ordered, group, i, theme)
+            traces.append(trace | {"x": x, "xaxis": f"x{name}", "yaxis": f"y{name}", "name": f"{letter}{i + 1}"})
     return make_figure(traces, theme, layout)
 
 

@@ -175,7 +175,8 @@ def residual_sphere(b_body_nt: Floats, residual_nt: Floats, theme: Theme = LIGHT
 
 def hemispheres(theme: Theme) -> Layout:
     """Return the layout of two equal-area discs, +z left and -z right, each with its circle and its axes named."""
-    bare = {"showgrid": False, "zeroline": False, "showticklabels": False, "ticks": "", "range": [-1.12, 1.12]}
+    bare = {"showgrid": False, "zeroline": False, "showticklabels": False, "ticks": "", "range": [-1.14, 1.14]}
+    bare |= {"showline": False, "constrain": "domain", "title": {"text": ""}}
     circles = [
         {"type": "circle", "xref": name, "yref": "y", "x0": -s, "x1": s, "y0": -s, "y1": s}
         | {"line": {"color": theme.muted if s == 1.0 else theme.grid, "width": 1}, "layer": "below"}

@@ -59,7 +59,9 @@ def energy_terms(t_utc: Times, terms_m2_s2: Mapping[str, Floats], theme: Theme =
         look: Trace = {"line": {"color": theme.after, "width": 1.2}, "hovertemplate": "%{y:.4g} m²/s²"}
         traces.append(scatter(x, y, name=name, yaxis=f"y{suffix}") | look)
         top = 1.0 - row / len(names)
-        layout[f"yaxis{suffix}"] = axis(theme, name, domain=[top - 0.78 / len(names), top], exponentformat="e")
+        layout[f"yaxis{suffix}"] = axis(
+            theme, name, domain=[top - 0.78 / len(names), top], exponentformat="power", nticks=4
+        )
     layout["xaxis"] = time_axis(theme, t_utc, anchor="y" if len(names) < 2 else f"y{len(names)}")
     return make_figure(traces, theme, layout)
 

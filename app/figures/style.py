@@ -139,17 +139,25 @@ def time_line(t_utc: Times, y: Floats, limit: int = MAX_POINTS) -> tuple[Floats,
 
 def time_axis(theme: Theme, t_utc: Times, title: str = "UTC", **more: object) -> Layout:
     """Return a date axis that leaves out what lies between sessions: gaps longer than a tenth of the measured time."""
-    cuts: list[Layout] = []
-    if len(t_utc) > 1:
-        steps_ms = np.diff(milliseconds(t_utc))
-        breaks = gap_after(t_utc)
-        measured_ms = float(steps_ms.sum() - steps_ms[breaks].sum())
-        margin_ms = 0.01 * measured_ms
-        longest = breaks[np.argsort(steps_ms[breaks])[::-1][:20]]
-        for i in np.sort(longest[steps_ms[longest] > 0.1 * measured_ms]):
-            bounds = [_date(t_utc[i], margin_ms), _date(t_utc[i + 1], -margin_ms)]
-            cuts.append({"bounds": bounds})
-    return axis(theme, title, type="date", rangebreaks=cuts, **more)
+    found = axis(theme, title, type="date", **more)
+    if len(t_utc) < 2:
+        return found
+    steps_ms = np.diff(milliseconds(t_utc))
+    breaks = gap_after(t_utc)
+    measured_ms = float(steps_ms.sum() - steps_ms[breaks].sum())
+    longest = breaks[np.argsort(steps_ms[breaks])[::-1][:20]]
+    cut = np.sort(longest[steps_ms[longest] > 0.1 * measured_ms])
+    if cut.size == 0:
+        return found
+    margin_ms = 0.01 * measured_ms
+    bounds = [[_date(t_utc[i], margin_ms), _date(t_utc[i + 1], -margin_ms)] for i in cut]
+    starts = t_utc[np.concatenate([[0], cut + 1])]
+    ticks: Layout = {
+        "rangebreaks": [{"bounds": pair} for pair in bounds],
+        "tickvals": milliseconds(starts),
+        "ticktext": [f"{text[:10]}<br>{text[11:16]}" for text in np.datetime_as_string(starts, unit="s")],
+    }
+    return found | ticks
 
 
 def _date(t_utc: np.datetime64, shift_ms: float) -> str:
