@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from magcal_core.calibration.result import Calibration as Calibration
     from magcal_core.field.dipole import DirectDipole as DirectDipole
     from magcal_core.field.igrf import Igrf as Igrf
+    from magcal_core.orbit.numerical import NumericalOrbit as NumericalOrbit
     from magcal_core.orbit.sgp4 import Sgp4Orbit as Sgp4Orbit
     from magcal_core.pipeline import CalibrationOptions as CalibrationOptions
     from magcal_core.pipeline import calibrate as calibrate
@@ -25,6 +26,7 @@ _HOME: Final[dict[str, str]] = {
     "CalibrationOptions": "pipeline",
     "DirectDipole": "field.dipole",
     "Igrf": "field.igrf",
+    "NumericalOrbit": "orbit.numerical",
     "Samples": "samples",
     "SensorModel": "sensor",
     "Sgp4Orbit": "orbit.sgp4",

@@ -72,7 +72,7 @@ def sun_moon_gcrf(t_utc: Times, ephemeris: EphemerisName = "de421") -> tuple[Flo
     Raises
     ------
     ModelRangeError
-        DE421 does not reach the date (1899 to 2053).
+        DE421 does not reach the date (1900 to 2200 as packaged).
     OptionError
         The ephemeris is not one of `EPHEMERIDES`.
 

@@ -17,7 +17,7 @@ from magcal_core.orbit.bodies import EphemerisName, sun_moon_gcrf
 from magcal_core.orbit.eop import earth_orientation
 from magcal_core.orbit.frames import ERA_RATE_RAD_S, cip_coordinates, polar_motion_matrix
 from magcal_core.orbit.gravity import GravityField, fill_solid_harmonics, gradient_from_harmonics
-from magcal_core.orbit.timescales import nanoseconds
+from magcal_core.orbit.timescales import Times, nanoseconds
 
 Floats = NDArray[np.float64]
 RotationName = Literal["iers", "uniform"]
@@ -58,7 +58,8 @@ class ExponentialDrag:
 class ForceTables(NamedTuple):
     """Earth rotation, Sun and Moon on nodes `NODE_S` apart; times are seconds since the orbit's epoch."""
 
-    start_s: float
+    first_node: int
+    """Number of the first node; node 0 is at the epoch."""
     cio: Floats
     """GCRF to the celestial intermediate frame, shape (k, 3, 3)."""
     polar: Floats
@@ -119,29 +120,35 @@ def force_tables(
     Nodes are whole multiples of `NODE_S` from the epoch, so that a longer table repeats a shorter one exactly.
     ``uniform`` is the ideal Earth of energy studies: turning about the z of GCRF at 7.292115e-5 rad/s.
     """
-    first, last = np.floor(from_s / NODE_S) - 1, np.ceil(until_s / NODE_S) + 1
+    first, last = int(np.floor(from_s / NODE_S)) - 1, int(np.ceil(until_s / NODE_S)) + 1
     t_s = np.arange(first, last + 1) * NODE_S
     stamps_ns = int(nanoseconds(np.array([epoch_utc]))[0]) + np.round(t_s * 1e9).astype(np.int64)
     t_utc = stamps_ns.view("datetime64[ns]")
     bodies_km, bodies_km_s = sun_moon_gcrf(t_utc, ephemeris)
     if rotation == "uniform":
         identity = np.broadcast_to(np.eye(3), (len(t_s), 3, 3)).copy()
-        return ForceTables(t_s[0], identity, identity, EARTH_ROTATION_RAD_S * t_s, bodies_km, bodies_km_s)
+        return ForceTables(
+            first, identity, identity, np.asarray(EARTH_ROTATION_RAD_S * t_s, np.float64), bodies_km, bodies_km_s
+        )
     if rotation != "iers":
         raise OptionError(f"unknown Earth rotation {rotation!r}; known are iers, uniform")
     cio = np.asarray(erfa.c2ixys(*cip_coordinates(t_utc)))
     nominal_rad = ERA_RATE_RAD_S * t_s
-    off_rad = np.asarray(erfa.era00(*earth_orientation().julian_ut1(t_utc))) - nominal_rad
-    off_rad = np.unwrap(np.remainder(off_rad, 2 * np.pi))
-    return ForceTables(t_s[0], cio, polar_motion_matrix(t_utc), nominal_rad + off_rad, bodies_km, bodies_km_s)
+    at_epoch_rad = float(_era_rad(np.array([epoch_utc], "datetime64[ns]"))[0])
+    off_rad = np.remainder(_era_rad(t_utc) - nominal_rad - at_epoch_rad + np.pi, 2 * np.pi) - np.pi
+    era_rad: Floats = nominal_rad + (at_epoch_rad + off_rad)
+    return ForceTables(first, cio, polar_motion_matrix(t_utc), era_rad, bodies_km, bodies_km_s)
+
+
+def _era_rad(t_utc: Times) -> Floats:
+    return np.asarray(erfa.era00(*earth_orientation().julian_ut1(t_utc)))
 
 
 @njit(cache=True, nogil=True)
 def node_of(t_s: float, tables: ForceTables) -> tuple[int, float]:
     """Return the node before ``t_s`` and the part of a node interval after it."""
-    place = (t_s - tables.start_s) / NODE_S
-    index = min(max(int(place), 0), tables.era_rad.shape[0] - 2)
-    return index, place - index
+    node = np.floor(t_s / NODE_S)
+    return int(node) - tables.first_node, t_s / NODE_S - node
 
 
 @njit(cache=True, nogil=True)
@@ -286,6 +293,6 @@ def sun_moon_positions_km(t_s: Floats, tables: ForceTables) -> Floats:
 
 def cip_axis_gcrf(t_s: Floats, tables: ForceTables) -> Floats:
     """Return the unit vector of the celestial intermediate pole at ``t_s`` since the epoch, shape (n, 3), GCRF."""
-    nodes_s = tables.start_s + NODE_S * np.arange(len(tables.era_rad))
+    nodes_s = NODE_S * (tables.first_node + np.arange(len(tables.era_rad)))
     axis = np.stack([np.interp(t_s, nodes_s, tables.cio[:, 2, k]) for k in range(3)], axis=1)
     return np.asarray(axis / np.linalg.norm(axis, axis=1, keepdims=True))

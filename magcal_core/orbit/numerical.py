@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,6 +35,9 @@ ATOL_KM: Final = 1e-9
 ATOL_KM_S: Final = 1e-12
 MAX_SPAN_DAYS: Final = 366.0
 """Longest time from the epoch; beyond it the drag that nobody knows has long won."""
+
+FIT_DAYS: Final = 1.0
+"""Length of the stretch of another orbit, ending at its epoch, through which `numerical_from` lays a numerical one."""
 
 _FIRST_STEP_S: Final = 10.0
 _MAX_STEPS: Final = 4_000_000
@@ -143,6 +146,8 @@ class NumericalOrbit:
         third_bodies: bool = True,
         tide: bool = False,
         drag: ExponentialDrag | None = None,
+        rtol: float = DEFAULT_RTOL,
+        rotation: RotationName = "iers",
     ) -> NumericalOrbit:
         """Return the orbit through a state given in GCRF, ITRF, TEME or J2000 (FK5).
 
@@ -157,16 +162,17 @@ class NumericalOrbit:
         r_gcrf_km, v_gcrf_km_s = convert_state(
             np.array([epoch_utc], "datetime64[ns]"), state[None, :3], state[None, 3:], frame, "GCRF"
         )
-        return cls(epoch_utc, r_gcrf_km[0], v_gcrf_km_s[0], degree, third_bodies, tide=tide, drag=drag)
-
-    @classmethod
-    def from_orbit(
-        cls, orbit: Orbit, epoch_utc: np.datetime64 | None = None, degree: int = 12, third_bodies: bool = True
-    ) -> NumericalOrbit:
-        """Return the orbit through the one state that ``orbit``, such as SGP4, has at its epoch or at ``epoch_utc``."""
-        at = orbit.epoch_utc if epoch_utc is None else epoch_utc
-        r_km, v_km_s = orbit.state_gcrf(np.array([at], "datetime64[ns]"))
-        return cls(at, r_km[0], v_km_s[0], degree, third_bodies)
+        return cls(
+            epoch_utc,
+            r_gcrf_km[0],
+            v_gcrf_km_s[0],
+            degree,
+            third_bodies,
+            tide=tide,
+            drag=drag,
+            rtol=rtol,
+            rotation=rotation,
+        )
 
     def state_gcrf(self, t_utc: Times) -> tuple[Floats, Floats]:
         """Return position, km, and velocity, km/s, at ``t_utc``, each of shape (n, 3), GCRF.
@@ -223,7 +229,7 @@ class NumericalOrbit:
     def _steps_until(self, direction: float, far_s: float) -> dop853.Steps:
         known = self._steps.get(direction)
         if known is None:
-            start = np.array([0.0]), self.state_km_km_s[None, :], np.empty((0, 7, 6))
+            start = np.array([0.0]), self.state_km_km_s[None, :].copy(), np.empty((0, 7, 6))
             known = dop853.Steps(*start, direction * _FIRST_STEP_S, dop853.DONE)
         if len(known.polynomial) and abs(known.t_s[-1]) >= far_s:
             return known
@@ -275,3 +281,84 @@ def _checked_state(r_km: ArrayLike, v_km_s: ArrayLike, *, is_inertial: bool = Tr
         raise OrbitFormatError(f"the speed is {speed_km_s:.3f} km/s; want more than 0 and less than 12 km/s")
     state.setflags(write=False)
     return state
+
+
+def numerical_from(
+    orbit: Orbit,
+    method: Literal["fit", "epoch"] = "fit",
+    *,
+    degree: int = 12,
+    third_bodies: bool = True,
+    fit_days: float = FIT_DAYS,
+) -> NumericalOrbit:
+    """Return a numerical orbit in place of ``orbit``, such as SGP4; a numerical orbit is returned as it is.
+
+    Parameters
+    ----------
+    method : str
+        ``fit``, the default: through the stretch of ``fit_days`` that ends at the orbit's epoch, by least squares.
+        ``epoch``: from the one state at the epoch. SGP4 leaves out short-periodic terms, so one of its states is
+        hundreds of metres off, and the period with it; the fit averages that (docs/numerical-orbit.md has figures).
+
+    Raises
+    ------
+    OptionError
+        The method is neither.
+    PropagationError
+        The orbit cannot be propagated, or the fit does not converge.
+    """
+    if isinstance(orbit, NumericalOrbit):
+        return orbit
+    if method == "epoch":
+        r_km, v_km_s = orbit.state_gcrf(np.array([orbit.epoch_utc], "datetime64[ns]"))
+        return NumericalOrbit(orbit.epoch_utc, r_km[0], v_km_s[0], degree, third_bodies)
+    if method != "fit":
+        raise OptionError(f"unknown way to a numerical orbit {method!r}; known are fit, epoch")
+    return fitted_to(orbit, -fit_days * 86400.0, 0.0, degree=degree, third_bodies=third_bodies)
+
+
+def fitted_to(
+    orbit: Orbit, from_s: float, until_s: float, *, degree: int = 12, third_bodies: bool = True
+) -> NumericalOrbit:
+    """Return the numerical orbit nearest to the positions of ``orbit`` from ``from_s`` to ``until_s`` since its epoch.
+
+    Raises
+    ------
+    PropagationError
+        The fit does not converge within 20 iterations.
+
+    Notes
+    -----
+    Gauss-Newton for the state at the epoch, positions once a minute with equal weight; the partial derivatives are
+    differences of orbits in the field of degree 2, which is near enough for a step.
+    """
+    if not until_s > from_s:
+        raise OptionError(f"the stretch to fit ends at {until_s} s, before it begins at {from_s} s")
+    epoch = orbit.epoch_utc
+    seconds = np.linspace(from_s, until_s, max(int((until_s - from_s) / 60.0), 20) + 1)
+    t_utc = epoch + np.round(seconds * 1e9).astype("timedelta64[ns]")
+    wanted_km, _ = orbit.state_gcrf(t_utc)
+    r_km, v_km_s = orbit.state_gcrf(np.array([epoch], "datetime64[ns]"))
+    state = np.concatenate([r_km[0], v_km_s[0]])
+    partials = _position_partials(epoch, state, t_utc)
+    for _ in range(20):
+        fitted = NumericalOrbit(epoch, state[:3], state[3:], degree, third_bodies)
+        step = np.linalg.lstsq(partials, (wanted_km - fitted.state_gcrf(t_utc)[0]).ravel(), rcond=None)[0]
+        state = state + step
+        if np.abs(step[:3]).max() < 1e-6 and np.abs(step[3:]).max() < 1e-9:
+            return NumericalOrbit(epoch, state[:3], state[3:], degree, third_bodies)
+    raise PropagationError(f"numerical orbit of {epoch}: no convergence to the {orbit.model} orbit in 20 iterations")
+
+
+def _position_partials(epoch_utc: np.datetime64, state: Floats, t_utc: Times) -> Floats:
+    """Return d(position)/d(state at the epoch), shape (3 n, 6), in the field of degree 2."""
+    columns = []
+    for k, size in enumerate((0.1, 0.1, 0.1, 1e-4, 1e-4, 1e-4)):
+        change = np.zeros(6)
+        change[k] = size
+        ends = [
+            NumericalOrbit(epoch_utc, at[:3], at[3:], 2, False, rtol=1e-10).state_gcrf(t_utc)[0].ravel()
+            for at in (state + change, state - change)
+        ]
+        columns.append((ends[0] - ends[1]) / (2.0 * size))
+    return np.stack(columns, axis=1)
