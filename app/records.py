@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Final
 
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
 from typing_extensions import TypedDict
 
 from magcal_core.errors import Fault, InputError
@@ -40,10 +40,9 @@ class ResidualStatisticsRecord(TypedDict):
     max_percent: float
 
 
+@with_config(_LOOSE)
 class StatisticsRecord(TypedDict):
     """What the calibration used and what it left."""
-
-    __pydantic_config__ = _LOOSE  # type: ignore[misc]
 
     samples: int
     rejected: int
@@ -52,10 +51,9 @@ class StatisticsRecord(TypedDict):
     after: ResidualStatisticsRecord
 
 
+@with_config(_LOOSE)
 class ObservabilityRecord(TypedDict):
     """How well the samples determine the parameters."""
-
-    __pydantic_config__ = _LOOSE  # type: ignore[misc]
 
     index: float | None
     condition_number: float | None
@@ -63,10 +61,9 @@ class ObservabilityRecord(TypedDict):
     weak_directions: list[str]
 
 
+@with_config(_LOOSE)
 class ProvenanceRecord(TypedDict, total=False):
     """Where a parameter set comes from."""
-
-    __pydantic_config__ = _LOOSE  # type: ignore[misc]
 
     software: str | dict[str, str]
     inputs: list[dict[str, object]]
@@ -85,10 +82,9 @@ class ParameterSetIds(TypedDict, total=False):
     created_at: str
 
 
+@with_config(_LOOSE)
 class ParameterSetRecord(ParameterSetIds):
     """A parameter set as ``GET /parameter-sets/{id}`` and ``magcal calibrate --json`` give it."""
-
-    __pydantic_config__ = _LOOSE  # type: ignore[misc]
 
     status: str
     verdict: VerdictRecord

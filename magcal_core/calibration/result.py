@@ -164,6 +164,10 @@ class ResidualTable:
         Weight of the sample in the fit, 0 where it was left out.
     flags : shape (n,)
         `SampleFlag` bits.
+    corrected_base_nt : shape (n, 3), optional
+        Corrected reading T^-1 (h - b), base frame, nT: where on the body sphere a residual arose.
+    r_itrf_km : shape (n, 3), optional
+        Position, ITRF, km: where over the Earth a residual arose.
     """
 
     t_utc: NDArray[np.datetime64]
@@ -173,6 +177,8 @@ class ResidualTable:
     residual_nt: Floats
     weight: Floats
     flags: NDArray[np.uint16]
+    corrected_base_nt: Floats | None = None
+    r_itrf_km: Floats | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -43,7 +44,7 @@ def parameter_set(day: int, grade: str = "accept") -> ParameterSetRecord:
     names = [f"{group}[{i}]" for group in ("bias_nt", "scale", "nonorthogonality_deg") for i in range(3)]
     spread = np.diag([60.0] * 3 + [1e-3] * 3 + [0.1] * 3)
     mixed = np.eye(9) + 0.5 * np.eye(9, k=1) + 0.5 * np.eye(9, k=-1)
-    return {
+    record = {
         "status": "candidate",
         "verdict": {"grade": grade, "reasons": []},
         "data_from": f"{start}Z",
@@ -65,6 +66,7 @@ def parameter_set(day: int, grade: str = "accept") -> ParameterSetRecord:
         "warnings": [],
         "provenance": {"orbits": [{"id": "tle", "age_days": 0.5 + day}], "options": {}},
     }
+    return cast(ParameterSetRecord, record)
 
 
 def session() -> Samples:
