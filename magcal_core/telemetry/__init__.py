@@ -1,0 +1,221 @@
+"""Telemetry in and out: one file a format, one line a format in `READERS` and `WRITERS`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path, PurePath
+from typing import BinaryIO, Final
+
+import pyarrow as pa
+
+from magcal_core.errors import OptionError, TelemetryFormatError
+from magcal_core.samples import Samples
+from magcal_core.telemetry.assembly import Judgement as Judgement
+from magcal_core.telemetry.assembly import Telemetry as Telemetry
+from magcal_core.telemetry.assembly import assemble as assemble
+from magcal_core.telemetry.assembly import merge_samples as merge_samples
+from magcal_core.telemetry.columns import ColumnMap
+from magcal_core.telemetry.compression import MAX_DECOMPRESSED_BYTES, decompress
+from magcal_core.telemetry.csv_table import read_csv, write_csv
+from magcal_core.telemetry.export import samples_table
+from magcal_core.telemetry.json_columns import read_json_columns, write_json_columns
+from magcal_core.telemetry.ndjson import read_ndjson, write_ndjson
+from magcal_core.telemetry.parquet import read_parquet, write_parquet
+from magcal_core.telemetry.quality import LEO_FIELD_NT, MAX_BAD_FRACTION, MAX_CONFLICT_FRACTION
+from magcal_core.telemetry.quality import Quality as Quality
+from magcal_core.telemetry.table import Reader
+from magcal_core.telemetry.text import MAX_ROWS
+
+READERS: Final[Mapping[str, Reader]] = {
+    "csv": read_csv,
+    "ndjson": read_ndjson,
+    "json": read_json_columns,
+    "parquet": read_parquet,
+}
+WRITERS: Final[Mapping[str, Callable[[pa.Table], bytes]]] = {
+    "csv": write_csv,
+    "ndjson": write_ndjson,
+    "json": write_json_columns,
+    "parquet": write_parquet,
+}
+MEDIA_TYPES: Final[Mapping[str, str]] = {
+    "text/csv": "csv",
+    "text/tab-separated-values": "csv",
+    "application/csv": "csv",
+    "application/x-ndjson": "ndjson",
+    "application/ndjson": "ndjson",
+    "application/jsonl": "ndjson",
+    "application/json": "json",
+    "application/vnd.apache.parquet": "parquet",
+    "application/x-parquet": "parquet",
+}
+"""Content type -> format; the first one of a format is what magcal itself answers with."""
+SUFFIXES: Final[Mapping[str, str]] = {
+    ".csv": "csv",
+    ".tsv": "csv",
+    ".txt": "csv",
+    ".ndjson": "ndjson",
+    ".jsonl": "ndjson",
+    ".json": "json",
+    ".parquet": "parquet",
+    ".pq": "parquet",
+}
+"""Ending of a file name -> format."""
+
+_COMPRESSED: Final = frozenset({".gz", ".zst", ".zstd"})
+_PARQUET_MAGIC: Final = b"PAR1"
+
+
+def format_of_name(name: str | PurePath) -> str | None:
+    """Return the format that a file's name tells, endings of compression aside; None where it tells none."""
+    suffixes = [suffix.lower() for suffix in PurePath(name).suffixes if suffix.lower() not in _COMPRESSED]
+    return SUFFIXES.get(suffixes[-1]) if suffixes else None
+
+
+def format_of_bytes(data: bytes) -> str:
+    """Return the format that a body begins like."""
+    if data.startswith(_PARQUET_MAGIC):
+        return "parquet"
+    head = data[: 1 << 16].removeprefix(b"\xef\xbb\xbf").lstrip()
+    if not head.startswith(b"{"):
+        return "csv"
+    colon = head.find(b":")
+    return "json" if head[colon + 1 :].lstrip().startswith(b"[") else "ndjson"
+
+
+def read_telemetry(
+    source: Path | str | bytes | BinaryIO,
+    *,
+    columns: ColumnMap | None = None,
+    unit: str = "nT",
+    format: str | None = None,  # noqa: A002
+    range_nt: float | None = None,
+    time_scale: str = "utc",
+    field_range_nt: tuple[float, float] | None = LEO_FIELD_NT,
+    max_bad_fraction: float = MAX_BAD_FRACTION,
+    max_conflict_fraction: float = MAX_CONFLICT_FRACTION,
+    max_rows: int = MAX_ROWS,
+    max_decompressed_bytes: int = MAX_DECOMPRESSED_BYTES,
+) -> Telemetry:
+    """Return the samples of one table, in time order and in nT, with its quality report.
+
+    Parameters
+    ----------
+    source : path, bytes or binary stream
+        CSV, NDJSON, JSON columns or Parquet, plain or in gzip or zstd.
+    columns : standard name -> the table's own name
+        Columns that are not mapped bear their standard names.
+    unit : str
+        Unit of the readings: nT, uT, mT, T, G, mG.
+    format : str, optional
+        One of `READERS`; otherwise the file's ending tells it, or its beginning.
+    range_nt : float, optional
+        The magnetometer's range, nT: readings at or beyond it are flagged as saturated.
+    time_scale : str
+        ``utc``, or ``gps`` where the times are GPS time (numbers then count from 1980-01-06).
+    field_range_nt : pair of floats, optional
+        Bounds of |B|, nT, by which a wrong unit is told; None leaves the unit unchecked.
+    max_bad_fraction, max_conflict_fraction : float
+        Shares of flagged samples past which the table is refused.
+    max_rows, max_decompressed_bytes : int
+        Limits of size.
+
+    Raises
+    ------
+    InputError
+        With every fault that was found (the first 100): where, why and the value.
+    OSError
+        The file cannot be read.
+    """
+    name = source if isinstance(source, str | Path) else getattr(source, "name", None)
+    data = _read_bytes(source)
+    body = decompress(data, max_bytes=max_decompressed_bytes)
+    kind = _chosen_format(format, name if isinstance(name, str | Path) else None, body)
+    table = READERS[kind](body, columns, max_rows=max_rows)
+    judgement = Judgement(unit, range_nt, time_scale, field_range_nt, max_bad_fraction, max_conflict_fraction)
+    return assemble(table, judgement)
+
+
+def read_samples(
+    source: Path | str | bytes | BinaryIO,
+    *,
+    columns: ColumnMap | None = None,
+    unit: str = "nT",
+    format: str | None = None,  # noqa: A002
+    range_nt: float | None = None,
+    time_scale: str = "utc",
+    field_range_nt: tuple[float, float] | None = LEO_FIELD_NT,
+    max_bad_fraction: float = MAX_BAD_FRACTION,
+) -> Samples:
+    """Return the samples of one table, in time order and in nT; `read_telemetry` returns the quality report too.
+
+    Raises
+    ------
+    InputError
+        With every fault that was found.
+    OSError
+        The file cannot be read.
+    """
+    return read_telemetry(
+        source,
+        columns=columns,
+        unit=unit,
+        format=format,
+        range_nt=range_nt,
+        time_scale=time_scale,
+        field_range_nt=field_range_nt,
+        max_bad_fraction=max_bad_fraction,
+    ).samples
+
+
+def write_samples(samples: Samples, format: str, *, with_flags: bool = False) -> bytes:  # noqa: A002
+    """Return ``samples`` in one of `WRITERS`' formats, in nT; reading them back gives the same numbers.
+
+    ``with_flags`` adds the column ``magcal_flags`` (`SampleFlag` bits).
+
+    Raises
+    ------
+    OptionError
+        The format is unknown.
+    """
+    if format not in WRITERS:
+        raise OptionError(f"unknown format {format!r}; known are {', '.join(WRITERS)}")
+    return WRITERS[format](samples_table(samples, with_flags=with_flags, times_as_text=format != "parquet"))
+
+
+def _read_bytes(source: Path | str | bytes | BinaryIO) -> bytes:
+    if isinstance(source, bytes):
+        return source
+    if isinstance(source, str | Path):
+        return Path(source).read_bytes()
+    return source.read()
+
+
+def _chosen_format(asked: str | None, name: str | Path | None, body: bytes) -> str:
+    if asked is not None and asked not in READERS:
+        raise OptionError(f"unknown format {asked!r}; known are {', '.join(READERS)}")
+    if not body.strip():
+        raise TelemetryFormatError("the telemetry is empty")
+    kind = asked or (None if name is None else format_of_name(name)) or format_of_bytes(body)
+    looks = format_of_bytes(body)
+    if "parquet" in (kind, looks) and kind != looks:
+        raise TelemetryFormatError(f"the telemetry is declared as {kind} and begins like {looks}")
+    return kind
+
+
+__all__ = [
+    "MEDIA_TYPES",
+    "READERS",
+    "SUFFIXES",
+    "WRITERS",
+    "Judgement",
+    "Quality",
+    "Telemetry",
+    "assemble",
+    "format_of_bytes",
+    "format_of_name",
+    "merge_samples",
+    "read_samples",
+    "read_telemetry",
+    "write_samples",
+]

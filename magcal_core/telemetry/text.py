@@ -1,0 +1,74 @@
+"""What every text format must be before it is parsed: UTF-8, without NUL, with lines of bounded length."""
+
+from __future__ import annotations
+
+import codecs
+from typing import Final
+
+from magcal_core.errors import EncodingError, TelemetryFormatError
+
+MAX_LINE_BYTES: Final = 4096
+"""Longest line of a table."""
+MAX_ROWS: Final = 20_000_000
+"""Most rows of one table."""
+
+_FOREIGN_MARKS: Final = {
+    codecs.BOM_UTF32_LE: "UTF-32",
+    codecs.BOM_UTF32_BE: "UTF-32",
+    codecs.BOM_UTF16_LE: "UTF-16",
+    codecs.BOM_UTF16_BE: "UTF-16",
+}
+
+
+def checked_text(data: bytes) -> bytes:
+    """Return ``data`` without its byte order mark, known to be UTF-8 without NUL.
+
+    Raises
+    ------
+    EncodingError
+        The text is not UTF-8 or has a NUL; the message has the byte offset.
+    """
+    for mark, name in _FOREIGN_MARKS.items():
+        if data.startswith(mark):
+            raise EncodingError(f"the text is {name} (byte offset 0); send UTF-8")
+    nul = data.find(b"\0")
+    if nul >= 0:
+        raise EncodingError(f"the text has a NUL at byte offset {nul}; send UTF-8 text")
+    if not data.isascii():
+        try:
+            data.decode("utf-8")
+        except UnicodeDecodeError as error:
+            raise EncodingError(f"the text is not UTF-8 at byte offset {error.start}") from error
+    return data.removeprefix(codecs.BOM_UTF8)
+
+
+def check_lines(text: bytes, *, max_rows: int = MAX_ROWS) -> None:
+    """Refuse a text with a line or a number of lines past the limits.
+
+    Raises
+    ------
+    TelemetryFormatError
+        A line is longer than `MAX_LINE_BYTES`, or there are more than ``max_rows`` rows and a header.
+    """
+    check_row_count(text.count(b"\n"), max_rows)
+    end = b"\n" if b"\n" in text else b"\r"
+    at = 0
+    # Hop to the last line end within reach; a window without one is a line that is too long.
+    while len(text) - at > MAX_LINE_BYTES:
+        last = text.rfind(end, at, at + MAX_LINE_BYTES + 1)
+        if last < 0:
+            line = text.count(end, 0, at) + 1
+            raise TelemetryFormatError(f"line {line} is longer than {MAX_LINE_BYTES} bytes")
+        at = last + 1
+
+
+def check_row_count(rows: int, max_rows: int) -> None:
+    """Refuse a table with more than ``max_rows`` rows.
+
+    Raises
+    ------
+    TelemetryFormatError
+        There are more.
+    """
+    if rows > max_rows + 1:
+        raise TelemetryFormatError(f"the table has more than {max_rows} rows")
