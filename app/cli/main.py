@@ -18,6 +18,7 @@ COMMANDS: Final[dict[str, str]] = {
     "simulate": "Simulate the telemetry of a tumbling satellite, with its truth beside it.",
     "push": "Send telemetry to a magcal service; safe to repeat.",
     "convert": "Convert parameters between conventions, loss-free.",
+    "rom": "Simulate attitude control by magnetometer, gyros and wheels.",
     "keys": "Create, list and revoke API keys.",
     "db": "Look after the database: upgrade, current, audit, copy, rebuild.",
 }

@@ -31,7 +31,9 @@ class CircularOrbit:
     inclination_rad, u0_rad, raan_rad : float
         Inclination, argument of latitude at the epoch, right ascension of the ascending node, rad.
     epoch_utc : datetime64
-        Time of the start; it turns the Earth, and with it every field model that is not symmetric about the axis.
+        Time of the start.
+    greenwich_rad : float, optional
+        Where Greenwich is at the start, rad from the X axis; without it as the Earth stands at the epoch.
 
     Raises
     ------
@@ -44,6 +46,7 @@ class CircularOrbit:
     u0_rad: float = 0.0
     raan_rad: float = 0.0
     epoch_utc: np.datetime64 = EPOCH_UTC
+    greenwich_rad: float | None = None
 
     def __post_init__(self) -> None:
         if not 100.0 <= self.altitude_km <= 1e5:
@@ -107,6 +110,8 @@ class CircularOrbit:
         return b_osk_nt
 
     def _earth_angle_rad(self) -> float:
-        """Return the Earth rotation angle at the epoch, rad, with UTC for UT1 (0.004 deg)."""
+        """Return the angle of Greenwich at the start, rad; by the epoch to 0.004 deg, as UTC stands for UT1."""
+        if self.greenwich_rad is not None:
+            return self.greenwich_rad
         since_1970_days = (self.epoch_utc - np.datetime64("1970-01-01", "ns")) / np.timedelta64(1, "D")
         return float(erfa.era00(_JD_1970, since_1970_days))
