@@ -14,9 +14,7 @@ class FieldModel(Protocol):
         """Name of the model in records, such as ``igrf-14``."""
         ...
 
-    def field_itrf_nt(
-        self, t_utc: NDArray[np.datetime64], r_itrf_km: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def field_itrf_nt(self, t_utc: NDArray[np.datetime64], r_itrf_km: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the field at ``t_utc``, shape (n,), and ``r_itrf_km``, shape (n, 3): shape (n, 3), ITRF, nT.
 
         Raises
