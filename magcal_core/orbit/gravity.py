@@ -23,6 +23,10 @@ MAX_DEGREE: Final = 36
 EGM96_SHA256: Final = "cdba2e9ccffb73216aafb3f0a7665d9ca5e89166364e5d36f173d46ad02ad091"
 """SHA-256 of ``data/egm96_36.csv``, checked whenever the table is loaded."""
 
+_GRS80_RADIUS_KM: Final = 6378.137
+_GRS80_E2: Final = 0.00669438002290
+_GRS80_J2: Final = 1.08263e-3
+
 _INVERSE: Final = 1.0 / np.maximum(np.arange(MAX_DEGREE + 3), 1)
 
 
@@ -175,12 +179,6 @@ class GravityField:
         cut = slice(0, degree + 1)
         return GravityField(self.c[cut, cut].copy(), self.s[cut, cut].copy(), self.gm_km3_s2, self.radius_km)
 
-    def zonal_even(self) -> GravityField:
-        """Return the normal field of the same degree: C_00 and the even zonals alone."""
-        keep = np.zeros_like(self.c)
-        keep[::2, 0] = self.c[::2, 0]
-        return GravityField(keep, np.zeros_like(self.s), self.gm_km3_s2, self.radius_km)
-
     def unnormalised(self) -> tuple[Floats, Floats]:
         """Return the unnormalised C and S, each of shape (degree+1, degree+1), as ``[m, n]``."""
         factors = normalisation(self.degree)
@@ -232,3 +230,37 @@ def egm96(degree: int = 12) -> GravityField:
         The degree is outside 0 to 36, or the shipped table is not the one that was released.
     """
     return _egm96_table().truncated(degree)
+
+
+def normal_field(degree: int = 12) -> GravityField:
+    """Return the field of the level ellipsoid GRS80 up to ``degree``, with the GM and the radius of EGM96.
+
+    Notes
+    -----
+    Even zonals J_2k = (-1)^(k+1) 3 e^2k / ((2k+1)(2k+3)) (1 - k + 5 k J_2/e^2), so U0 = GM/r (1 - sum J_2k (R/r)^2k
+    P_2k): the minus sign that a positive J_2 needs (ENERGY, eq. 13). Scaled from GRS80's radius to EGM96's.
+    """
+    c = np.zeros((degree + 1, degree + 1))
+    c[0, 0] = 1.0
+    for k in range(1, degree // 2 + 1):
+        shape = _GRS80_E2**k * (1 - k + 5 * k * _GRS80_J2 / _GRS80_E2)
+        zonal = (-1) ** (k + 1) * 3.0 * shape / ((2 * k + 1) * (2 * k + 3))
+        c[2 * k, 0] = -zonal * (_GRS80_RADIUS_KM / EARTH_RADIUS_EGM96_KM) ** (2 * k) / sqrt(4 * k + 1)
+    return GravityField(c, np.zeros_like(c))
+
+
+def coefficients_of(field: GravityField, degree: int) -> Floats:
+    """Return the coefficients of ``field`` in the order of `coefficient_index`, 0 where it does not reach."""
+    values = [
+        (field.s if sine else field.c)[n, m] if n <= field.degree else 0.0 for n, m, sine in coefficient_index(degree)
+    ]
+    return np.array(values, np.float64)
+
+
+def field_of(values: Floats, degree: int, central: float = 1.0) -> GravityField:
+    """Return the field with the coefficients ``values`` in the order of `coefficient_index` and C_00 = ``central``."""
+    c, s = np.zeros((degree + 1, degree + 1)), np.zeros((degree + 1, degree + 1))
+    c[0, 0] = central
+    for (n, m, sine), value in zip(coefficient_index(degree), values, strict=True):
+        (s if sine else c)[n, m] = value
+    return GravityField(c, s)

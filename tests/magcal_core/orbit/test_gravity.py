@@ -10,7 +10,7 @@ from scipy.special import sph_legendre_p_all
 from magcal_core.constants import EARTH_GM_KM3_S2, EARTH_RADIUS_EGM96_KM
 from magcal_core.errors import ModelRangeError
 from magcal_core.orbit import gravity
-from magcal_core.orbit.gravity import coefficient_index, egm96
+from magcal_core.orbit.gravity import coefficient_index, egm96, normal_field
 
 RNG = np.random.default_rng(20220219)
 DIRECTIONS = RNG.normal(size=(200, 3))
@@ -111,3 +111,13 @@ def test_shipped_table_is_that_of_the_published_model() -> None:
                 assert field.s[n, m] == pytest.approx(float(parts[4]), rel=1e-12)
                 seen += 1
     assert seen == sum(n + 1 for n in range(2, 37))
+
+
+def test_normal_field_is_that_of_grs80() -> None:
+    """J_4, J_6, J_8 as published by H. Moritz (Geodetic Reference System 1980), scaled between the two radii."""
+    field = normal_field(12)
+    published = {2: 1.08263e-3, 4: -2.37091222e-6, 6: 6.08347e-9, 8: -1.427e-11}
+    for n, want in published.items():
+        zonal = -field.c[n, 0] * np.sqrt(2 * n + 1) * (EARTH_RADIUS_EGM96_KM / 6378.137) ** n
+        assert zonal == pytest.approx(want, rel=1e-4 if n == 8 else 1e-6)
+    assert np.abs(egm96(12).c[2, 0] - field.c[2, 0]) < 5e-9
