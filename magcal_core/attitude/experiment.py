@@ -33,6 +33,14 @@ DRAWS: Final = 16
 """Sensors that `calibration_impact` draws from the covariance."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sensors:
+    """How the magnetometer may really be: the likeliest, for the raw readings, and all that are to be tried."""
+
+    likeliest: SensorModel
+    tried: Sequence[SensorModel]
+
+
 @dataclass(frozen=True, slots=True)
 class Pointing:
     """Largest total attitude error, deg, and rate error, deg/s, in the last two orbits."""
@@ -112,7 +120,7 @@ def pointing_impact(
     -----
     `docs/references.md`: ROM; the figures for DEKART are in `docs/attitude.md`.
     """
-    return _impact([sensor], corrected_with, active, _studies(orbits, field, gains, duration_s))
+    return _impact(_Sensors(sensor, [sensor]), corrected_with, active, _studies(orbits, field, gains, duration_s))
 
 
 def calibration_impact(
@@ -140,6 +148,8 @@ def calibration_impact(
     ------
     InputError
         The covariance is not that of nine parameters or more, or ``draws`` is not positive.
+    OptionError
+        The covariance is so large that a sensor drawn from it is none.
     ModelRangeError
         The field model does not reach to an orbit.
     """
@@ -152,7 +162,7 @@ def calibration_impact(
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     drawn = mean + np.random.default_rng(seed).normal(size=(draws, 9)) @ root.T
     sensors = [SensorModel(p[0:3], p[3:6], p[6:9]) for p in drawn]
-    return _impact(sensors, calibrated, active, _studies(orbits, field, gains, duration_s))
+    return _impact(_Sensors(calibrated, sensors), calibrated, active, _studies(orbits, field, gains, duration_s))
 
 
 def _studies(
@@ -175,12 +185,12 @@ def _studies(
 
 
 def _impact(
-    sensors: Sequence[SensorModel],
+    sensors: _Sensors,
     corrected_with: SensorModel,
     active: SensorModel | None,
     studies: Sequence[RomScenario],
 ) -> PointingImpact:
-    """Return the worst pointing over ``sensors`` for each way of correcting them, the raw one of the first alone."""
+    """Return the worst pointing over ``sensors`` for each way of correcting them."""
     rows = []
     for study in studies:
         along = FieldAlongOrbit.of(study)
@@ -189,9 +199,9 @@ def _impact(
                 altitude_km=study.orbit.altitude_km,
                 inclination_deg=float(np.rad2deg(study.orbit.inclination_rad)),
                 ideal=_pointing(study, along, Magnetometer()),
-                raw=_pointing(study, along, Magnetometer(sensor=sensors[0])),
-                calibrated=_worst(study, along, sensors, corrected_with),
-                active=None if active is None else _worst(study, along, sensors, active),
+                raw=_pointing(study, along, Magnetometer(sensor=sensors.likeliest)),
+                calibrated=_worst(study, along, sensors.tried, corrected_with),
+                active=None if active is None else _worst(study, along, sensors.tried, active),
             )
         )
     first = studies[0]
