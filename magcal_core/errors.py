@@ -47,6 +47,12 @@ class TelemetryFormatError(InputError):
     code = "telemetry_format"
 
 
+class TooManyRowsError(TelemetryFormatError):
+    """The table has more rows than one session may have."""
+
+    code = "too_many_rows"
+
+
 class TelemetryValueError(InputError):
     """The table can be read, but its values cannot be used."""
 

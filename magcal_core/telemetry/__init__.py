@@ -180,7 +180,7 @@ def write_samples(samples: Samples, format: str, *, with_flags: bool = False) ->
     """
     if format not in WRITERS:
         raise OptionError(f"unknown format {format!r}; known are {', '.join(WRITERS)}")
-    return WRITERS[format](samples_table(samples, with_flags=with_flags, times_as_text=format != "parquet"))
+    return WRITERS[format](samples_table(samples, with_flags=with_flags))
 
 
 def _read_bytes(source: Path | str | bytes | BinaryIO) -> bytes:

@@ -12,7 +12,8 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 
 from magcal_core.errors import TelemetryFormatError, TelemetryValueError
-from magcal_core.telemetry.columns import STANDARD, TIME, ColumnMap, ColumnPlan, normal_header, plan_columns
+from magcal_core.telemetry.columns import STANDARD, ColumnMap, ColumnPlan, normal_header, plan_columns
+from magcal_core.telemetry.export import is_text, iso_texts
 from magcal_core.telemetry.faults import FaultList
 from magcal_core.telemetry.table import EMPTY_CELLS, Floats, RawTable, from_arrow
 from magcal_core.telemetry.text import MAX_ROWS, check_lines, checked_text
@@ -188,14 +189,32 @@ def _housekeeping(
 
 
 def write_csv(table: pa.Table) -> bytes:
-    """Return a table of samples as CSV; a name that a spreadsheet would run as a formula gets a leading apostrophe."""
+    """Return a table as CSV; text that a spreadsheet would run as a formula gets a leading apostrophe."""
+    names = [name if name in STANDARD else harmless(name) for name in table.column_names]
     head = io.StringIO()
-    csv.writer(head, lineterminator="\n").writerow([_harmless(name) for name in table.column_names])
+    csv.writer(head, lineterminator="\n").writerow(names)
+    columns = [iso_texts(column) if pa.types.is_timestamp(column.type) else column for column in table.columns]
+    if any(is_text(column) for column in table.columns):
+        return head.getvalue().encode() + _text_rows(columns)
     body = io.BytesIO()
-    pacsv.write_csv(table, body, pacsv.WriteOptions(include_header=False, quoting_style="none"))
+    options = pacsv.WriteOptions(include_header=False, quoting_style="none")
+    pacsv.write_csv(pa.table(columns, [str(i) for i in range(len(columns))]), body, options)
     return head.getvalue().encode() + body.getvalue()
 
 
-def _harmless(name: str) -> str:
-    is_plain = name in STANDARD or name == TIME or not name.startswith(_FORMULA)
-    return name if is_plain else f"'{name}"
+def harmless(text: str) -> str:
+    """Return a text cell, with an apostrophe before it where a spreadsheet would run it as a formula."""
+    return f"'{text}" if text.startswith(_FORMULA) else text
+
+
+def _text_rows(columns: list[pa.ChunkedArray]) -> bytes:
+    """Return rows with text among their cells; Arrow would quote every text, times included."""
+    cells = [
+        ["" if text is None else harmless(text) for text in column.cast(pa.string()).to_pylist()]
+        if is_text(column)
+        else ["" if value is None else value for value in column.to_pylist()]
+        for column in columns
+    ]
+    body = io.StringIO()
+    csv.writer(body, lineterminator="\n").writerows(zip(*cells, strict=True))
+    return body.getvalue().encode()

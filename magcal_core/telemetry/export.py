@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 
 import numpy as np
 import pyarrow as pa
@@ -20,13 +21,13 @@ from magcal_core.telemetry.columns import (
 )
 
 
-def samples_table(samples: Samples, *, with_flags: bool = False, times_as_text: bool = False) -> pa.Table:
+def samples_table(samples: Samples, *, with_flags: bool = False) -> pa.Table:
     """Return ``samples`` as an Arrow table under the standard names, nT, NaN as an empty cell.
 
     ``with_flags`` adds the column ``magcal_flags``, which the readers leave aside.
     """
     instants = pa.array(samples.t_utc.astype("datetime64[ns]"))
-    columns: dict[str, pa.Array] = {TIME: _iso_texts(instants) if times_as_text else _as_utc(instants)}
+    columns: dict[str, pa.Array] = {TIME: instants.cast(pa.timestamp("ns", "UTC"))}
     groups = (
         (READING, samples.h_nt),
         (ATTITUDE, samples.q_base_gcrf),
@@ -45,29 +46,34 @@ def samples_table(samples: Samples, *, with_flags: bool = False, times_as_text: 
     return pa.table(columns)
 
 
+def is_text(column: pa.ChunkedArray) -> bool:
+    """Return whether a column holds text."""
+    return bool(pa.types.is_string(column.type) or pa.types.is_large_string(column.type))
+
+
+def iso_texts(column: pa.ChunkedArray) -> pa.ChunkedArray:
+    """Return timestamps in ISO 8601 with Z: microseconds, or nanoseconds where one of them needs them."""
+    import pyarrow.compute as pc  # noqa: PLC0415 - loading it costs 80 ms, and only writers need it
+
+    plain = column.cast(pa.timestamp(column.type.unit))
+    with contextlib.suppress(pa.ArrowInvalid):
+        plain = plain.cast(pa.timestamp("us"))
+    texts = pc.replace_substring(plain.cast(pa.string()), " ", "T")
+    return pc.binary_join_element_wise(texts, "Z", "")
+
+
 def json_cells(column: pa.ChunkedArray) -> pa.ChunkedArray:
     """Return the cells of a column as JSON writes them."""
     import pyarrow.compute as pc  # noqa: PLC0415 - loading it costs 80 ms, and only writers need it
 
-    if pa.types.is_string(column.type):
-        return pc.binary_join_element_wise('"', column, '"', "")
+    if pa.types.is_timestamp(column.type):
+        quoted = pc.binary_join_element_wise('"', iso_texts(column), '"', "")
+        return quoted.fill_null("null")
+    if is_text(column):
+        return pa.chunked_array([[json.dumps(text) for text in column.to_pylist()]], pa.string())
     return column.cast(pa.string()).fill_null("null")
 
 
 def _floats(values: np.ndarray[tuple[int], np.dtype[np.float64]]) -> pa.Array:
     is_missing = ~np.isfinite(values)
     return pa.array(np.ascontiguousarray(values), mask=is_missing)
-
-
-def _as_utc(instants: pa.Array) -> pa.Array:
-    return instants.cast(pa.timestamp("ns", "UTC"))
-
-
-def _iso_texts(instants: pa.Array) -> pa.Array:
-    """Return ISO 8601 texts with Z: microseconds, or nanoseconds where one of the times needs them."""
-    import pyarrow.compute as pc  # noqa: PLC0415 - loading it costs 80 ms, and only writers need it
-
-    with contextlib.suppress(pa.ArrowInvalid):
-        instants = instants.cast(pa.timestamp("us"))
-    texts = pc.replace_substring(instants.cast(pa.string()), " ", "T")
-    return pc.binary_join_element_wise(texts, "Z", "")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import codecs
 from typing import Final
 
-from magcal_core.errors import EncodingError, TelemetryFormatError
+from magcal_core.errors import EncodingError, TelemetryFormatError, TooManyRowsError
 
 MAX_LINE_BYTES: Final = 4096
 """Longest line of a table."""
@@ -48,7 +48,9 @@ def check_lines(text: bytes, *, max_rows: int = MAX_ROWS) -> None:
     Raises
     ------
     TelemetryFormatError
-        A line is longer than `MAX_LINE_BYTES`, or there are more than ``max_rows`` rows and a header.
+        A line is longer than `MAX_LINE_BYTES`.
+    TooManyRowsError
+        There are more than ``max_rows`` rows and a header.
     """
     check_row_count(text.count(b"\n"), max_rows)
     end = b"\n" if b"\n" in text else b"\r"
@@ -67,8 +69,8 @@ def check_row_count(rows: int, max_rows: int) -> None:
 
     Raises
     ------
-    TelemetryFormatError
+    TooManyRowsError
         There are more.
     """
     if rows > max_rows + 1:
-        raise TelemetryFormatError(f"the table has more than {max_rows} rows")
+        raise TooManyRowsError(f"the table has more than {max_rows} rows")

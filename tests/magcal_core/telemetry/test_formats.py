@@ -215,3 +215,19 @@ def test_json_formats_write_json_that_json_reads(samples: Samples) -> None:
     assert columns["temperature"][3] is None
     rows = [json.loads(line) for line in write_samples(samples, "ndjson").splitlines()]
     assert [row["bx"] for row in rows] == columns["bx"] == samples.h_nt[:, 0].tolist()
+
+
+def test_any_table_is_written_times_in_iso_and_text_made_harmless() -> None:
+    t = np.array(["2022-01-01T00:00:00", "2022-01-01T00:00:00.5"], "M8[ns]")
+    table = pa.table(
+        {"time": pa.array(t).cast(pa.timestamp("ns", "UTC")), "why": ["=1+1", 'a "b", c'], "x": [1.5, None]}
+    )
+    times = ["2022-01-01T00:00:00.000000Z", "2022-01-01T00:00:00.500000Z"]
+    assert WRITERS["csv"](table).decode().splitlines() == [
+        "time,why,x",
+        f"{times[0]},'=1+1,1.5",
+        f'{times[1]},"a ""b"", c",',
+    ]
+    assert json.loads(WRITERS["json"](table)) == {"time": times, "why": ["=1+1", 'a "b", c'], "x": [1.5, None]}
+    assert [json.loads(line)["time"] for line in WRITERS["ndjson"](table).splitlines()] == times
+    assert WRITERS["csv"](table.select(["time", "x"])).decode().splitlines()[1] == f"{times[0]},1.5"
