@@ -1,0 +1,166 @@
+"""Where the satellite was, and what the field was there: the reference columns of the samples."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_core.attitude.rotation import attitude_matrix
+from magcal_core.errors import OrbitMissingError
+from magcal_core.field import FieldModel
+from magcal_core.orbit import Orbit
+from magcal_core.orbit.choose import MAX_AGE_DAYS, NO_ORBIT, Choice, check_age, choose_orbits
+from magcal_core.orbit.frames import itrf_to_gcrf
+from magcal_core.samples import Floats, SampleFlag, Samples, Times
+
+Mask = NDArray[np.bool_]
+
+TELEMETRY_REFERENCE: Final = "telemetry-reference"
+TELEMETRY_POSITION: Final = "telemetry-position"
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceReport:
+    """Where the reference field came from.
+
+    Attributes
+    ----------
+    orbit_model : str
+        ``sgp4``, ``numerical``, ``oem`` (joined by ``+`` where several were used), ``telemetry-position`` or
+        ``telemetry-reference``.
+    orbits : tuple of mappings
+        For each orbit used: its ``index`` in the sequence given, ``model``, ``epoch``, largest ``age_days``, and the
+        number of ``samples`` that use it.
+    field_model : str
+        Name of the field model; of no effect where the telemetry brought the field itself.
+    warnings : tuple of str
+        Codes and texts, such as ``tle_old: ...``.
+    """
+
+    orbit_model: str
+    orbits: tuple[Mapping[str, object], ...]
+    field_model: str
+    warnings: tuple[str, ...] = ()
+
+
+def with_reference(
+    samples: Samples,
+    orbits: Sequence[Orbit],
+    field: FieldModel,
+    *,
+    time_offset_s: float = 0.0,
+    max_orbit_age_days: float = MAX_AGE_DAYS,
+) -> tuple[Samples, ReferenceReport]:
+    """Return the samples with their reference field, and where it came from.
+
+    A field in the telemetry is taken as it is; else the field is computed at the position in the telemetry; else at the
+    position that the orbit chosen for each sample gives. The magnitude is always filled; the field in GCRF and in the
+    base frame where the samples have an attitude. Samples for which there is none are flagged ``NO_REFERENCE``.
+
+    Parameters
+    ----------
+    samples, orbits, field
+        Telemetry, the orbits to choose from, and the model of the field.
+    time_offset_s : float
+        Telemetry clock minus true time, s: the satellite is taken to have been where it was at ``t_utc`` less this.
+    max_orbit_age_days : float
+        Refuse an orbit whose epoch is farther from a sample, days.
+
+    Raises
+    ------
+    OrbitMissingError
+        Neither field nor position in the telemetry, and no orbit that covers it.
+    TleEpochError
+        An orbit is too old for a sample.
+    ModelRangeError, PropagationError
+        The field or the orbit cannot be had at a time or place.
+    """
+    if samples.has_reference:
+        return _from_telemetry(samples), ReferenceReport(TELEMETRY_REFERENCE, (), field.name)
+    t_true = samples.t_utc - np.timedelta64(round(time_offset_s * 1e9), "ns")
+    if samples.r_itrf_km is not None:
+        has_place = np.asarray(np.isfinite(samples.r_itrf_km).all(axis=1))
+        report = ReferenceReport(TELEMETRY_POSITION, (), field.name)
+        return _with_field(samples, t_true, samples.r_itrf_km, has_place, field), report
+    choice = choose_orbits(orbits, t_true)
+    warnings = check_age(choice, orbits, max_orbit_age_days)
+    has_place = choice.index != NO_ORBIT
+    if not has_place.any():
+        raise OrbitMissingError(_not_covered(orbits, samples.t_utc))
+    if not has_place.all():
+        warnings.append(f"orbit_gap: no orbit covers {np.count_nonzero(~has_place)} of {len(samples)} samples")
+    used = [i for i in range(len(orbits)) if (choice.index == i).any()]
+    r_itrf_km = _positions(orbits, used, choice, t_true)
+    report = ReferenceReport(
+        orbit_model="+".join(sorted({orbits[i].model for i in used})),
+        orbits=tuple(_entry(i, orbits[i], choice) for i in used),
+        field_model=field.name,
+        warnings=tuple(warnings),
+    )
+    return _with_field(samples, t_true, r_itrf_km, has_place, field), report
+
+
+def _positions(orbits: Sequence[Orbit], used: Sequence[int], choice: Choice, t_utc: Times) -> Floats:
+    if len(used) == 1 and (choice.index == used[0]).all():
+        return orbits[used[0]].position_itrf_km(t_utc)
+    r_itrf_km = np.full((len(t_utc), 3), np.nan)
+    for i in used:
+        rows = choice.rows(i)
+        r_itrf_km[rows] = orbits[i].position_itrf_km(t_utc[rows])
+    return r_itrf_km
+
+
+def _entry(index: int, orbit: Orbit, choice: Choice) -> Mapping[str, object]:
+    rows = choice.rows(index)
+    return {
+        "index": index,
+        "model": orbit.model,
+        "epoch": f"{np.datetime_as_string(orbit.epoch_utc, unit='us')}Z",
+        "age_days": round(float(choice.age_days[rows].max()), 6),
+        "samples": len(rows),
+    }
+
+
+def _not_covered(orbits: Sequence[Orbit], t_utc: Times) -> str:
+    first, last = (np.datetime_as_string(t, unit="s") for t in (t_utc.min(), t_utc.max()))
+    return f"none of the {len(orbits)} ephemerides covers the telemetry, {first}Z to {last}Z"
+
+
+def _with_field(samples: Samples, t_utc: Times, r_itrf_km: Floats, has_place: Mask, field: FieldModel) -> Samples:
+    """Return the samples with position and field; ``t_utc`` is the true time of each."""
+    if has_place.all():
+        b_itrf_nt = field.field_itrf_nt(t_utc, r_itrf_km)
+    else:
+        b_itrf_nt = np.full((len(samples), 3), np.nan)
+        b_itrf_nt[has_place] = field.field_itrf_nt(t_utc[has_place], r_itrf_km[has_place])
+    filled = replace(samples, r_itrf_km=r_itrf_km, b_ref_magnitude_nt=_magnitude(b_itrf_nt))
+    if samples.q_base_gcrf is not None:
+        b_gcrf_nt = itrf_to_gcrf(t_utc, b_itrf_nt)
+        filled = replace(filled, b_ref_gcrf_nt=b_gcrf_nt, b_ref_base_nt=_in_base(samples.q_base_gcrf, b_gcrf_nt))
+    return filled.flagged(SampleFlag.NO_REFERENCE, ~has_place)
+
+
+def _from_telemetry(samples: Samples) -> Samples:
+    """Return the samples with the forms of the reference that follow from those that were sent."""
+    base_nt, gcrf_nt, magnitude_nt = samples.b_ref_base_nt, samples.b_ref_gcrf_nt, samples.b_ref_magnitude_nt
+    if base_nt is None and gcrf_nt is not None and samples.q_base_gcrf is not None:
+        base_nt = _in_base(samples.q_base_gcrf, gcrf_nt)
+    if magnitude_nt is None:
+        vector_nt = gcrf_nt if samples.b_ref_base_nt is None else samples.b_ref_base_nt
+        magnitude_nt = None if vector_nt is None else _magnitude(vector_nt)
+    filled = replace(samples, b_ref_base_nt=base_nt, b_ref_magnitude_nt=magnitude_nt)
+    if magnitude_nt is None:
+        return filled
+    return filled.flagged(SampleFlag.NO_REFERENCE, ~np.isfinite(magnitude_nt))
+
+
+def _magnitude(b_nt: Floats) -> Floats:
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", b_nt, b_nt)), np.float64)
+
+
+def _in_base(q_base_gcrf: Floats, b_gcrf_nt: Floats) -> Floats:
+    return np.asarray(np.matvec(attitude_matrix(q_base_gcrf), b_gcrf_nt), np.float64)
