@@ -144,10 +144,11 @@ def propose_gains(orbit: CircularOrbit, body: Body, field: FieldModel, *, dt_s: 
 
     Notes
     -----
-    ``kd dt / J < 1`` keeps the sampled loop well damped; ``zeta >= 1`` is twice the limit of stability.
+    ``kd dt / J <= 1`` keeps the sampled loop well damped; ``zeta >= 1`` is twice the limit of stability. The inertia acts
+    as a tau shorter by 2 J / kd, as in `growth_rate_per_s`.
     """
     moments = np.linalg.eigvalsh(body.inertia_kg_m2)
-    tau = np.geomspace(*TAU_RANGE_S, 80)
+    tau = np.geomspace(*TAU_RANGE_S, 120)
     kp = np.minimum(body.torque_limit_nm, moments[0] / (tau * dt_s))
     zeta = tau * np.sqrt(kp) / (2.0 * np.sqrt(2.0 * moments[2]))
     usable = zeta >= PROPOSED_DAMPING_RATIO
@@ -156,7 +157,9 @@ def propose_gains(orbit: CircularOrbit, body: Body, field: FieldModel, *, dt_s: 
             f"wheels of {body.torque_limit_nm} Nm are too weak for {moments[2]:.4g} kg m2: the damping ratio is "
             f"{zeta.max():.2f} at most with tau up to {TAU_RANGE_S[1]:.0f} s, want {PROPOSED_DAMPING_RATIO}"
         )
-    slowest = np.where(usable, efold_s(orbit, field, tau, steps=800), np.inf)
+    effective_s = tau - 2.0 * moments.mean() / (kp * tau)
+    slowest = np.full(tau.size, np.inf)
+    slowest[usable] = efold_s(orbit, field, effective_s[usable], steps=800)
     best = int(np.argmin(slowest)) if np.isfinite(slowest).any() else int(np.flatnonzero(usable)[0])
     gains = Gains(float(kp[best]), float(kp[best] * tau[best]))
     return GainProposal(gains, float(tau[best]), float(slowest[best]), damping_ratio(gains, float(moments[2])))

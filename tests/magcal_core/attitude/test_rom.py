@@ -126,7 +126,7 @@ def test_a_tenth_of_a_degree_off_the_invariant_set_converges(fly, start):
 
 @pytest.mark.parametrize("start", EXACT)
 def test_igrf_frees_the_exact_starts_too(fly, start):
-    """How long a start stays near the set hangs on the last few nT: 9,000 to 12,000 s with the field of 2020 to 2024."""
+    """How long a start stays near the set hangs on the last few nT: 9,000 to 12,000 s with 2020 to 2023."""
     t1 = fly(start=start, inclination_deg=90.0, field="igrf-13", duration_s=15_000.0, dt_s=2.0).settling_s(1.0)
     assert t1 < 12_500.0
 
