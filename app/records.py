@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from functools import cache
 from typing import Final
 
@@ -16,11 +18,11 @@ _LOOSE: Final = ConfigDict(extra="allow")
 class ParametersRecord(TypedDict):
     """Parameters of the sensor model, or errors of them."""
 
-    bias_nt: list[float]
-    scale: list[float]
-    nonorthogonality_deg: list[float]
+    bias_nt: list[float | None]
+    scale: list[float | None]
+    nonorthogonality_deg: list[float | None]
     time_offset_s: float | None
-    regressors: dict[str, list[float]]
+    regressors: dict[str, list[float | None]]
 
 
 class VerdictRecord(TypedDict):
@@ -33,11 +35,11 @@ class VerdictRecord(TypedDict):
 class ResidualStatisticsRecord(TypedDict):
     """Statistics of a residual, nT."""
 
-    mean_nt: float
-    std_nt: float
-    rms_nt: float
-    max_abs_nt: float
-    max_percent: float
+    mean_nt: float | None
+    std_nt: float | None
+    rms_nt: float | None
+    max_abs_nt: float | None
+    max_percent: float | None
 
 
 @with_config(_LOOSE)
@@ -57,7 +59,7 @@ class ObservabilityRecord(TypedDict):
 
     index: float | None
     condition_number: float | None
-    sphere_coverage: float
+    sphere_coverage: float | None
     weak_directions: list[str]
 
 
@@ -97,7 +99,7 @@ class ParameterSetRecord(ParameterSetIds):
     standard_errors: ParametersRecord
     formal_standard_errors: ParametersRecord
     parameter_names: list[str]
-    covariance: list[list[float]]
+    covariance: list[list[float | None]]
     matrix: list[list[float]]
     correction_matrix: list[list[float]]
     candidates: list[dict[str, object]]
@@ -123,16 +125,46 @@ def parse_parameter_set(text: str | bytes) -> ParameterSetRecord:
     try:
         return _adapter().validate_json(text)
     except ValidationError as error:
-        faults = [Fault(".".join(str(part) for part in e["loc"]) or "document", e["msg"]) for e in error.errors()]
-        raise InputError("this is not a parameter set", faults) from error
+        raise InputError("this is not a parameter set", _faults(error)) from error
+
+
+def parameter_set_record(values: Mapping[str, object]) -> ParameterSetRecord:
+    """Return ``values`` checked to be a parameter set.
+
+    Raises
+    ------
+    InputError
+        A field is missing or of another type; the faults name the fields.
+    """
+    try:
+        return _adapter().validate_python(values)
+    except ValidationError as error:
+        raise InputError("this is not a parameter set", _faults(error)) from error
+
+
+def _faults(error: ValidationError) -> list[Fault]:
+    return [Fault(".".join(str(part) for part in one["loc"]) or "document", one["msg"]) for one in error.errors()]
 
 
 def parameter_values(parameters: ParametersRecord) -> dict[str, float]:
-    """Return every parameter by the name that it has in ``parameter_names``."""
-    groups = {group: parameters[group] for group in ("bias_nt", "scale", "nonorthogonality_deg")}
-    values = {f"{group}[{i}]": group_values[i] for group, group_values in groups.items() for i in range(3)}
-    for name, change in parameters["regressors"].items():
-        values |= {f"regressors.{name}[{i}]": change[i] for i in range(len(change))}
+    """Return every parameter by the name that it has in ``parameter_names``; NaN where the record has none."""
+    groups = {
+        "bias_nt": parameters["bias_nt"],
+        "scale": parameters["scale"],
+        "nonorthogonality_deg": parameters["nonorthogonality_deg"],
+    } | {f"regressors.{name}": change for name, change in parameters["regressors"].items()}
+    values = {
+        f"{group}[{i}]": math.nan if value is None else value
+        for group, found in groups.items()
+        for i, value in enumerate(found)
+    }
     if parameters["time_offset_s"] is not None:
         values["time_offset_s"] = parameters["time_offset_s"]
     return values
+
+
+def oldest_orbit_days(record: ParameterSetRecord) -> float | None:
+    """Return the largest distance in time of an orbit from the data, days; None where no orbit was used."""
+    ages = [orbit.get("age_days") for orbit in record["provenance"].get("orbits", [])]
+    known = [abs(age) for age in ages if isinstance(age, int | float)]
+    return max(known) if known else None

@@ -21,6 +21,7 @@ from app.figures.residuals import (
 from app.figures.sessions import housekeeping, raw_field, sphere_coverage
 from app.figures.studies import coefficient_errors, energy_terms, error_against_angle, settling
 from app.figures.style import DARK, LIGHT, MAX_POINTS, THEMES, Theme
+from app.figures.timeline import InForce, SessionMark, session_timeline
 
 __all__ = [
     "DARK",
@@ -28,6 +29,8 @@ __all__ = [
     "MAX_POINTS",
     "THEMES",
     "AblationRow",
+    "InForce",
+    "SessionMark",
     "Theme",
     "ablation_bar",
     "before_after",
@@ -45,6 +48,7 @@ __all__ = [
     "residual_sphere",
     "residual_time",
     "rms_history",
+    "session_timeline",
     "settling",
     "short_name",
     "sphere_coverage",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from app.figures.style import GRADE_SYMBOLS, LIGHT, Layout, Theme, Trace, axis, make_figure, milliseconds, scatter
-from app.records import ParameterSetRecord, parameter_values
+from app.records import ParameterSetRecord, oldest_orbit_days, parameter_values
 from magcal_core.samples import Floats
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def parameter_history(sets: Sequence[ParameterSetRecord], theme: Theme = LIGHT) 
 def tle_age_history(sets: Sequence[ParameterSetRecord], theme: Theme = LIGHT) -> Figure:
     """Return the age of the oldest orbit of each of ``sets`` with the limits of 3 and 14 days."""
     ordered = sorted(sets, key=lambda record: record["data_from"])
-    ages = [_oldest_orbit_days(record) for record in ordered]
+    ages = [oldest_orbit_days(record) for record in ordered]
     trace = _by_grade(ordered, theme) | {"x": _middle_ms(ordered), "y": ages, "name": "age of the orbit"}
     layout: Layout = {
         "height": 240,
@@ -104,7 +104,7 @@ def rms_history(sets: Sequence[ParameterSetRecord], theme: Theme = LIGHT) -> Fig
 
 def correlation_matrix(record: ParameterSetRecord, theme: Theme = LIGHT) -> Figure:
     """Return the correlations of the parameters' honest covariance as a map with the numbers written in."""
-    covariance = np.array(record["covariance"], dtype=np.float64)
+    covariance = np.nan_to_num(np.array(record["covariance"], dtype=np.float64))
     correlation = correlation_of(covariance)
     names = [short_name(name) for name in record["parameter_names"]]
     trace: Trace = {
@@ -245,9 +245,3 @@ def _history_trace(sets: Sequence[ParameterSetRecord], group: str, i: int, theme
             "symbol": [GRADE_SYMBOLS.get(grade, "circle") for grade in grades],
         },
     }
-
-
-def _oldest_orbit_days(record: ParameterSetRecord) -> float | None:
-    ages = [orbit.get("age_days") for orbit in record["provenance"].get("orbits", [])]
-    known = [abs(age) for age in ages if isinstance(age, int | float)]
-    return max(known) if known else None

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import cast
 
@@ -85,6 +86,13 @@ def positions() -> np.ndarray:
     return 6938 * np.stack([np.cos(angle), 0.1 * np.sin(angle), np.sin(angle)], axis=1)
 
 
+def history() -> tuple[list[figures.SessionMark], list[figures.InForce]]:
+    day = [datetime(2022, 2, 19 + i, tzinfo=UTC) for i in range(4)]
+    marks = [figures.SessionMark(day[i], day[i + 1], 700, grade) for i, grade in enumerate(["accept", "weak", None])]
+    spans = [figures.InForce(day[0], day[1], "a1", "weak"), figures.InForce(day[1], day[3], "b2", "accept")]
+    return marks, spans
+
+
 ROWS = [figures.AblationRow("plain", 181.5, 247.0, False), figures.AblationRow("+ temperature", 168.3, None, True)]
 T_UTC = residuals().t_utc
 SCALAR_NT = residuals().residual_nt
@@ -104,6 +112,7 @@ DRAWINGS: dict[str, Callable[[figures.Theme], Figure]] = {
     "raw_field": lambda theme: figures.raw_field(session(), theme),
     "sphere_coverage": lambda theme: figures.sphere_coverage(session().h_nt, theme),
     "housekeeping": lambda theme: figures.housekeeping(session(), theme),
+    "session_timeline": lambda theme: figures.session_timeline(*history(), theme),
     "settling": lambda theme: figures.settling(np.arange(9000.0), {"raw": np.full(9000, 24.0)}, theme),
     "error_against_angle": lambda theme: figures.error_against_angle(np.arange(3.0), {"+++": np.arange(3.0)}, theme),
     "energy_terms": lambda theme: figures.energy_terms(T_UTC, {"kinetic": SCALAR_NT, "tide": SCALAR_NT}, theme),

@@ -1,0 +1,223 @@
+"""HTTP of what displays are drawn from: overview, history, summaries, figures, reports; the same access as the rest."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Annotated, Any, Final
+
+import numpy as np
+from fastapi import APIRouter, Query, Request, Response
+
+from app.auth import Reader
+from app.dashboard import drawing
+from app.dashboard.schemas import (
+    CompareQuery,
+    FigureQuery,
+    HistoryFigure,
+    HistoryFigureQuery,
+    HistoryQuery,
+    HistoryRow,
+    OverviewQuery,
+    OverviewRow,
+    ResidualQuery,
+    ResidualSummary,
+    SessionFigure,
+    SessionSummary,
+    SetFigure,
+)
+from app.dashboard.state import history_rows, overview_rows, record_of
+from app.keys.repository import SYSTEM, Caller
+from app.orbits.parsing import orbit_of
+from app.orbits.repository import OrbitRepository
+from app.parameter_sets.repository import ParameterSetRepository
+from app.parameter_sets.residuals import from_bytes
+from app.parameter_sets.tables import ParameterSet
+from app.records import ParameterSetRecord
+from app.residual_files import residuals_of
+from app.resources import Blobs, Db
+from app.satellites.repository import SatelliteRepository
+from app.schemas import Page, utc_text
+from app.sessions.repository import SessionRepository, samples_of
+from app.store import Store, residuals_key
+from magcal_core.calibration.result import ResidualTable
+from magcal_core.samples import Samples
+
+router = APIRouter(tags=["displays"])
+
+REPORT_POLICY: Final = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+"""The report carries its scripts inside and may reach nothing."""
+FIGURES: Final[dict[int | str, dict[str, Any]]] = {
+    200: {"description": "The figure, as plotly draws it.", "content": {"application/json": {}}}
+}
+REPORT: Final[dict[int | str, dict[str, Any]]] = {200: {"description": "The report.", "content": {"text/html": {}}}}
+
+
+@router.get("/overview")
+def get_overview(query: Annotated[OverviewQuery, Query()], caller: Reader, db: Db) -> Page[OverviewRow]:
+    """Show every magnetometer with its state at a glance; the limit counts satellites."""
+    with db.read() as session:
+        satellites = SatelliteRepository(session, caller)
+        if query.satellite is not None:
+            return Page(items=overview_rows(session, caller, [satellites.get(query.satellite)]))
+        rows, cursor = satellites.page(query)
+        return Page(items=overview_rows(session, caller, rows), next=cursor)
+
+
+@router.get("/satellites/{satellite_id}/history")
+def get_history(satellite_id: str, query: Annotated[HistoryQuery, Query()], caller: Reader, db: Db) -> Page[HistoryRow]:
+    """List the parameter sets of a satellite in flat numbers, for tables and plots over time, the newest first."""
+    with db.read() as session:
+        SatelliteRepository(session, caller).get(satellite_id)
+        items, cursor = history_rows(session, caller, satellite_id, query)
+    return Page(items=items, next=cursor)
+
+
+@router.get("/sessions/{session_id}/summary")
+def get_session_summary(session_id: str, caller: Reader, db: Db, store: Blobs) -> SessionSummary:
+    """Show what the readings of a session span."""
+    from magcal_core.calibration.observability import sphere_coverage  # noqa: PLC0415
+
+    samples = _samples(session_id, caller, db, store)
+    h_nt = samples.h_nt[samples.is_used]
+    magnitude = np.linalg.norm(h_nt, axis=1)
+    if not magnitude.any():
+        names = list(samples.housekeeping)
+        return SessionSummary(b_min_nt=None, b_max_nt=None, b_median_nt=None, sphere_coverage=None, housekeeping=names)
+    return SessionSummary(
+        b_min_nt=float(magnitude.min()),
+        b_max_nt=float(magnitude.max()),
+        b_median_nt=float(np.median(magnitude)),
+        sphere_coverage=sphere_coverage(h_nt[magnitude > 0] / magnitude[magnitude > 0][:, None]),
+        housekeeping=list(samples.housekeeping),
+    )
+
+
+@router.get("/sessions/{session_id}/residual")
+def get_session_residual(
+    session_id: str, query: Annotated[ResidualQuery, Query()], caller: Reader, db: Db, store: Blobs
+) -> ResidualSummary:
+    """Show the residual of |B| that a session has under a parameter set, which need not come from it."""
+    from app.dashboard.checking import residual_under  # noqa: PLC0415
+
+    with db.read() as session:
+        row = ParameterSetRepository(session, caller).get(query.parameter_set)
+        telemetry = SessionRepository(session, caller).get(session_id)
+        near = []
+        if telemetry.data_from is not None and telemetry.data_until is not None:
+            orbits = OrbitRepository(session, SYSTEM, telemetry.satellite_id)
+            near = orbits.around(telemetry.data_from, telemetry.data_until, 14.0)
+    samples = _samples(session_id, caller, db, store)
+    residual = residual_under(samples, [orbit_of(one.format, one.content) for one in near], record_of(row))
+    return ResidualSummary(
+        parameter_set_id=row.id,
+        samples=residual.size,
+        mean_nt=float(residual.mean()),
+        std_nt=float(residual.std()),
+        rms_nt=float(np.sqrt(np.mean(residual**2))),
+        max_abs_nt=float(np.abs(residual).max()),
+    )
+
+
+@router.get("/parameter-sets/{parameter_set_id}/figures/{figure}", response_class=Response, responses=FIGURES)
+def get_parameter_set_figure(
+    *,
+    parameter_set_id: str,
+    figure: SetFigure,
+    query: Annotated[FigureQuery, Query()],
+    request: Request,
+    caller: Reader,
+    db: Db,
+    store: Blobs,
+) -> Response:
+    """Draw a figure of a parameter set."""
+    row = _parameter_set(parameter_set_id, caller, db)
+    etag = drawing.etag("set", row.id, figure, query.theme)
+    if request.headers.get("if-none-match") == etag:
+        return Response(status_code=304, headers={"ETag": etag})
+    residuals = None if figure in drawing.OF_RECORD else _residuals(row, db, store)
+    made = drawing.parameter_set_figure(figure, record_of(row), residuals, query.theme)
+    return drawing.answer(made, etag)
+
+
+@router.get("/sessions/{session_id}/figures/{figure}", response_class=Response, responses=FIGURES)
+def get_session_figure(
+    *,
+    session_id: str,
+    figure: SessionFigure,
+    query: Annotated[FigureQuery, Query()],
+    caller: Reader,
+    db: Db,
+    store: Blobs,
+) -> Response:
+    """Draw a figure of a session."""
+    return drawing.answer(drawing.session_figure(figure, _samples(session_id, caller, db, store), query.theme))
+
+
+@router.get("/satellites/{satellite_id}/figures/{figure}", response_class=Response, responses=FIGURES)
+def get_history_figure(
+    satellite_id: str, figure: HistoryFigure, query: Annotated[HistoryFigureQuery, Query()], caller: Reader, db: Db
+) -> Response:
+    """Draw a figure of a satellite's history: its last 1,000 parameter sets."""
+    with db.read() as session:
+        SatelliteRepository(session, caller).get(satellite_id)
+        made = drawing.history_figure(session, caller, satellite_id, figure, query)
+    return drawing.answer(made)
+
+
+@router.get("/figures/compare", response_class=Response, responses=FIGURES)
+def get_comparison_figure(query: Annotated[CompareQuery, Query()], caller: Reader, db: Db) -> Response:
+    """Draw the differences between two parameter sets."""
+    first, second = (record_of(_parameter_set(one, caller, db)) for one in (query.first, query.second))
+    return drawing.answer(drawing.comparison(first, second, query.theme))
+
+
+@router.get(
+    "/parameter-sets/{parameter_set_id}/report",
+    response_class=Response,
+    responses={200: {"content": {"text/html": {}}}},
+)
+def get_report(parameter_set_id: str, caller: Reader, db: Db, store: Blobs) -> Response:
+    """Give the report of a parameter set as one page that needs nothing else and prints as it stands."""
+    from app.report import render_report  # noqa: PLC0415
+
+    row = _parameter_set(parameter_set_id, caller, db)
+    record: ParameterSetRecord = record_of(row)
+    with db.read() as session:
+        record["session_ids"] = ParameterSetRepository(session, caller).session_ids([row])[row.id]
+    page = render_report(record, _residuals(row, db, store), made_at=_now())
+    name = f"magcal-{row.satellite_id}-{row.magnetometer_id}-{row.id}.html"
+    headers = {"Content-Security-Policy": REPORT_POLICY, "Content-Disposition": f'inline; filename="{name}"'}
+    return Response(page, media_type="text/html; charset=utf-8", headers=headers)
+
+
+def _now() -> str:
+    from app.database import utc_now  # noqa: PLC0415
+
+    return utc_text(utc_now())[:19].replace("T", " ") + " UTC"
+
+
+def _parameter_set(parameter_set_id: str, caller: Caller, db: Db) -> ParameterSet:
+    with db.read() as session:
+        return ParameterSetRepository(session, caller).get(parameter_set_id)
+
+
+def _residuals(row: ParameterSet, db: Db, store: Store) -> ResidualTable:
+    with db.read() as session:
+        content = store.get(session, residuals_key(row.id), row.residuals_sha256)
+    return _decoded(row.residuals_sha256, content)
+
+
+@lru_cache(maxsize=8)
+def _decoded(_sha256: str, content: bytes) -> ResidualTable:
+    """A page asks for six figures of one table; it is decoded once."""
+    return residuals_of(from_bytes(content))
+
+
+def _samples(session_id: str, caller: Caller, db: Db, store: Store) -> Samples:
+    with db.read() as session:
+        sessions = SessionRepository(session, caller)
+        sessions.get(session_id)
+        return samples_of(sessions.columns(session_id, store))

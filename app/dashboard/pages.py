@@ -1,0 +1,233 @@
+"""The dashboard's pages: shells that carry no data, filled in the browser from the public API; and the login."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import resources
+from typing import TYPE_CHECKING, Annotated, Final
+from urllib.parse import urlsplit
+
+from fastapi import APIRouter, Form, Request, Response
+from fastapi.responses import HTMLResponse, RedirectResponse
+
+from app.auth import LOGIN_COOKIE, FailureLimiter, authenticate, verify_key
+from app.errors import TooManyFailuresError, UnauthorizedError
+from app.keys.repository import KEY_FORM, Caller, KeyRepository
+from app.resources import Config, Db
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+router = APIRouter(include_in_schema=False)
+
+PAGE_HEADERS: Final = {
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
+        "connect-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+    ),
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+"""Nothing is loaded from elsewhere and no script stands inside a page; the plot library sets style attributes."""
+WRONG_KEY: Final = "This is not a valid key. It may have expired or been revoked."
+
+
+@cache
+def templates() -> Environment:
+    """Return the environment of the pages' templates."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415
+
+    return Environment(loader=PackageLoader("app.dashboard"), autoescape=True, undefined=StrictUndefined)
+
+
+@cache
+def asset_version() -> str:
+    """Return the version of the plot library, which is part of its address."""
+    from importlib.metadata import version  # noqa: PLC0415
+
+    return version("plotly")
+
+
+def _render(name: str, status: int = 200, **values: object) -> HTMLResponse:
+    page = templates().get_template(name).render(plotly_version=asset_version(), **values)
+    return HTMLResponse(page, status, headers=PAGE_HEADERS)
+
+
+def _caller(request: Request) -> Caller | None:
+    try:
+        return authenticate(request)
+    except UnauthorizedError:
+        return None
+
+
+def _page(request: Request, template: str, title: str) -> HTMLResponse:
+    caller = _caller(request)
+    if caller is None:
+        address = request.url.path + (f"?{request.url.query}" if request.url.query else "")
+        return _render("login.html", title="Sign in", target=address, message="")
+    return _render(template, title=title, script=template.removesuffix(".html"), scopes=sorted(caller.scopes))
+
+
+@router.get("/")
+def overview_page(request: Request) -> HTMLResponse:
+    """Show every satellite with its state at a glance."""
+    return _page(request, "overview.html", "Satellites")
+
+
+@router.get("/satellites/{satellite_id}")
+def satellite_page(satellite_id: str, request: Request) -> HTMLResponse:
+    """Show a satellite: its history, sessions, parameter sets and orbits."""
+    return _page(request, "satellite.html", satellite_id)
+
+
+@router.get("/sessions/{session_id}")
+def session_page(session_id: str, request: Request) -> HTMLResponse:
+    """Show a session."""
+    return _page(request, "session.html", f"Session {session_id}")
+
+
+@router.get("/parameter-sets/{set_id}")
+def parameter_set_page(set_id: str, request: Request) -> HTMLResponse:
+    """Show a parameter set, its verdict first."""
+    return _page(request, "parameter_set.html", f"Parameter set {set_id}")
+
+
+@router.get("/compare")
+def compare_page(request: Request) -> HTMLResponse:
+    """Show two parameter sets side by side."""
+    return _page(request, "compare.html", "Compare parameter sets")
+
+
+@router.get("/jobs")
+def jobs_page(request: Request) -> HTMLResponse:
+    """Show the jobs, live."""
+    return _page(request, "jobs.html", "Jobs")
+
+
+@router.get("/keys")
+def keys_page(request: Request) -> HTMLResponse:
+    """Show the keys and the audit trail."""
+    return _page(request, "keys.html", "Keys")
+
+
+@router.post("/login")
+def log_in(
+    request: Request, db: Db, config: Config, key: Annotated[str, Form()], target: Annotated[str, Form()] = "/"
+) -> Response:
+    """Exchange a key for a cookie that scripts cannot read and other sites cannot use."""
+    if not is_same_origin(request):
+        return _render("login.html", 403, title="Sign in", target="/", message="Sign in from this site's own page.")
+    limiter: FailureLimiter = request.app.state.failures
+    form = KEY_FORM.fullmatch(key.strip())
+    address = request.client.host if request.client else "unknown"
+    suspects = [f"address {address}", *([f"key {form[1]}"] if form else [])]
+    target = _own_path(target)
+    try:
+        limiter.check(*suspects)
+    except TooManyFailuresError as error:
+        return _render("login.html", 429, title="Sign in", target=target, message=f"{error.message}.")
+    with db.write() as session:
+        row = verify_key(session, key.strip())
+        token = None if row is None else KeyRepository(session).open_login(row.id, config.login_hours)
+    if token is None:
+        limiter.note(*suspects)
+        return _render("login.html", 403, title="Sign in", target=target, message=WRONG_KEY)
+    response = RedirectResponse(target, 303, headers={"Cache-Control": "no-store"})
+    response.set_cookie(
+        LOGIN_COOKIE,
+        token,
+        max_age=int(config.login_hours * 3600),
+        httponly=True,
+        samesite="strict",
+        secure=request.url.scheme == "https",
+    )
+    return response
+
+
+@router.post("/logout")
+def log_out(request: Request, db: Db) -> Response:
+    """Forget the login."""
+    token = request.cookies.get(LOGIN_COOKIE)
+    if token is not None and is_same_origin(request):
+        with db.write() as session:
+            KeyRepository(session).close_login(token)
+    response = RedirectResponse("/", 303, headers={"Cache-Control": "no-store"})
+    response.delete_cookie(LOGIN_COOKIE, httponly=True, samesite="strict")
+    return response
+
+
+def is_same_origin(request: Request) -> bool:
+    """Return whether the request comes from a page of this service.
+
+    Browsers send ``Sec-Fetch-Site`` where the connection is secure or local; elsewhere ``Origin`` tells it.
+    """
+    site = request.headers.get("sec-fetch-site")
+    if site is not None:
+        return site == "same-origin"
+    return urlsplit(request.headers.get("origin", "")).netloc == request.headers.get("host", "-")
+
+
+def _own_path(target: str) -> str:
+    """Return ``target`` where it is a path of this service, else the first page: no open redirect."""
+    is_own = target.startswith("/") and not target.startswith(("//", "/\\")) and target.isprintable()
+    return target if is_own else "/"
+
+
+@router.get("/assets/plotly-{version}.min.js")
+def plotly_asset(version: str, request: Request) -> Response:
+    """Serve the plot library from its package; its address names its version, so that it is loaded once."""
+    etag = f'"plotly-{asset_version()}"'
+    headers = {"ETag": etag, "Cache-Control": "public, max-age=31536000, immutable", "Vary": "Accept-Encoding"}
+    if version != asset_version():
+        return Response(status_code=404)
+    if request.headers.get("if-none-match") == etag:
+        return Response(status_code=304, headers=headers)
+    if "gzip" in request.headers.get("accept-encoding", ""):
+        headers["Content-Encoding"] = "gzip"
+        return Response(_plotly_gzip(), headers=headers, media_type="text/javascript; charset=utf-8")
+    return Response(_plotly(), headers=headers, media_type="text/javascript; charset=utf-8")
+
+
+def _plotly() -> bytes:
+    return (resources.files("plotly") / "package_data" / "plotly.min.js").read_bytes()
+
+
+@cache
+def _plotly_gzip() -> bytes:
+    import gzip  # noqa: PLC0415
+
+    return gzip.compress(_plotly(), 6, mtime=0)
+
+
+STATIC_TYPES: Final = {
+    ".js": "text/javascript; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".svg": "image/svg+xml",
+}
+
+
+@cache
+def _static() -> dict[str, tuple[bytes, str, str]]:
+    """Return name -> content, media type and ETag of the dashboard's own files, read once."""
+    import hashlib  # noqa: PLC0415
+
+    found = {}
+    for path in (resources.files("app.dashboard") / "static").iterdir():
+        suffix = "." + path.name.rpartition(".")[2]
+        if suffix in STATIC_TYPES:
+            content = path.read_bytes()
+            found[path.name] = content, STATIC_TYPES[suffix], f'"{hashlib.sha256(content).hexdigest()[:32]}"'
+    return found
+
+
+@router.get("/static/{name}")
+def static_file(name: str, request: Request) -> Response:
+    """Serve a file of the dashboard; the browser asks each time whether it has changed."""
+    if name not in _static():
+        return Response(status_code=404)
+    content, media_type, etag = _static()[name]
+    headers = {"ETag": etag, "Cache-Control": "no-cache", "X-Content-Type-Options": "nosniff"}
+    if request.headers.get("if-none-match") == etag:
+        return Response(status_code=304, headers=headers)
+    return Response(content, headers=headers, media_type=media_type)

@@ -1,0 +1,25 @@
+// Two parameter sets side by side.
+import { api, grade, h, nt, section, short, show, start, time, title } from "./magcal.js";
+import { differenceTable } from "./parameters.js";
+import { plot } from "./plot.js";
+
+const query = new URLSearchParams(location.search);
+
+function head(record, heading) {
+  return h("div", {}, h("h3", {}, heading, " ", h("a", { href: `/parameter-sets/${record.id}` }, short(record.id))),
+    h("p", {}, grade(record.verdict.grade), ` ${record.status} · ${record.satellite} ${record.magnetometer}`),
+    h("p", { class: "muted" }, `${record.method} · ${time(record.data_from)} · residual ${nt(record.statistics.after.rms_nt)}, cross-validated ${nt(record.statistics.cross_validated_rms_nt)}`));
+}
+
+start(async () => {
+  title("Compare");
+  if (!query.get("first") || !query.get("second")) {
+    show(h("h1", {}, "Compare parameter sets"), h("p", {}, "Choose the two on the page of a parameter set."));
+    return;
+  }
+  const [first, second] = await Promise.all([query.get("first"), query.get("second")].map((id) => api(`/parameter-sets/${id}`)));
+  const address = `/figures/compare?first=${first.id}&second=${second.id}`;
+  show(h("h1", {}, "Compare parameter sets"), h("div", { class: "pair" }, head(first, "First:"), head(second, "Second:")),
+    section("Parameters", differenceTable(first, second, ["first", "second", "second − first"])),
+    plot(address, "Differences in combined standard errors", "Beyond the dotted lines, at three, the two do not agree within their honest errors.", 300));
+});

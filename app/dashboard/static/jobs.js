@@ -1,0 +1,62 @@
+// The queue, live: progress, cancel, retry.
+import { api, age, h, listed, may, notice, section, short, show, start, state, time } from "./magcal.js";
+import { cancel, ENDED, retry, watch } from "./job.js";
+import { table } from "./table.js";
+
+const MOST_WATCHED = 4; // browsers keep six connections to one server
+
+function result(job) {
+  if (job.result?.parameter_set_id) return h("a", { href: `/parameter-sets/${job.result.parameter_set_id}` }, `set ${short(job.result.parameter_set_id)}`);
+  if (job.error) return h("details", {}, h("summary", {}, job.error.code), job.error.detail);
+  return "–";
+}
+
+function actions(job, again) {
+  if (!may("operate")) return "";
+  if (!ENDED.has(job.state)) {
+    return h("button", { type: "button", onclick: async () => { await cancel(job).catch((p) => notice(p.message, "refuse")); again(); } }, "Cancel");
+  }
+  return job.state === "succeeded" ? "" : h("button", { type: "button", onclick: async () => {
+    await retry(job).then((made) => notice(`Queued again as ${short(made.id)}.`, "accept"), (p) => notice(p.message, "refuse"));
+    again();
+  } }, "Retry");
+}
+
+const columns = (again) => [
+  { name: "job", value: (r) => r.id, show: (r) => short(r.id) },
+  { name: "kind", value: (r) => r.kind },
+  { name: "state", value: (r) => r.state, show: (r) => state(r.state) },
+  { name: "progress", numeric: true, value: (r) => r.progress, show: (r) => h("progress", { max: 1, value: r.progress, "aria-label": `Progress of ${short(r.id)}` }) },
+  { name: "satellite", value: (r) => r.satellite, show: (r) => r.satellite ? h("a", { href: `/satellites/${r.satellite}` }, r.satellite) : "–" },
+  { name: "session", value: (r) => r.session_ids[0], show: (r) => r.session_ids.length ? h("a", { href: `/sessions/${r.session_ids[0]}` }, short(r.session_ids[0]),
+    r.session_ids.length > 1 ? ` and ${r.session_ids.length - 1} more` : "") : "–" },
+  { name: "method", value: (r) => r.options.method ?? "" },
+  { name: "created", value: (r) => r.created_at, show: (r) => h("span", { title: time(r.created_at) }, `${age(r.created_at)} ago`) },
+  { name: "attempts", numeric: true, value: (r) => r.attempts },
+  { name: "result", value: (r) => r.result?.parameter_set_id ?? r.error?.code ?? "", show: result },
+  { name: "", value: () => "", show: (r) => actions(r, again) },
+];
+
+start(async () => {
+  const place = h("div");
+  let sources = [];
+  let timer = null;
+  async function draw() {
+    clearTimeout(timer);
+    sources.forEach((source) => source.close());
+    const jobs = await listed("/jobs", 500);
+    place.replaceChildren(table(columns(draw), jobs, { caption: "Jobs", file: "jobs", empty: "No job yet. A calibration is started on a session's page." }));
+    const active = jobs.filter((job) => !ENDED.has(job.state));
+    sources = active.slice(0, MOST_WATCHED).map((job) => {
+      let known = job.state;
+      return watch(job.id, (now) => {
+        const bar = place.querySelector(`progress[aria-label="Progress of ${short(now.id)}"]`);
+        if (bar) bar.value = now.progress;
+        if (now.state !== known) { known = now.state; draw(); }
+      });
+    });
+    timer = setTimeout(draw, active.length > MOST_WATCHED ? 3000 : 10000);
+  }
+  show(h("h1", {}, "Jobs"), place);
+  await draw();
+});

@@ -1,0 +1,59 @@
+// Keys: made, listed, revoked; and who did what.
+import { api, confirm, field, form, h, listed, notice, option, section, show, start, time } from "./magcal.js";
+import { table } from "./table.js";
+
+const SCOPES = [["read", "see everything"], ["ingest", "send telemetry and orbits"], ["operate", "calibrate, activate, add satellites"], ["admin", "all of it, and keys"]];
+
+function create(again) {
+  const place = h("div", { "aria-live": "polite" });
+  const boxes = h("fieldset", {}, h("legend", {}, "Scopes"), SCOPES.map(([name, text]) =>
+    h("label", {}, h("input", { type: "checkbox", name: `scope-${name}`, checked: name === "read" }), ` ${name}: ${text}`)));
+  const node = form([field("name", "Name", { placeholder: "ground station north" }), boxes,
+    field("satellites", "Only for these satellites (comma)", { placeholder: "all" }),
+    field("expires_at", "Expires (UTC)", { type: "datetime-local" })], "Create key", async (values) => {
+    const body = { scopes: SCOPES.map(([name]) => name).filter((name) => values[`scope-${name}`]) };
+    if (values.name) body.name = values.name;
+    const satellites = values.satellites.split(",").map((one) => one.trim()).filter(Boolean);
+    if (satellites.length) body.satellites = satellites;
+    if (values.expires_at) body.expires_at = `${values.expires_at}:00Z`.replace(/(:\d\d:\d\d):00Z$/, "$1Z");
+    const made = await api("/keys", { method: "POST", json: body });
+    place.replaceChildren(h("div", { class: "notice accept" }, h("p", {}, "The key is shown this once. Copy it now:"), h("code", { class: "secret" }, made.key)));
+    again();
+  });
+  return [node, place];
+}
+
+start(async () => {
+  const list = h("div");
+  async function draw() {
+    const keys = await listed("/keys");
+    list.replaceChildren(table([
+      { name: "key", value: (r) => r.id, show: (r) => h("code", {}, r.id) },
+      { name: "name", value: (r) => r.name },
+      { name: "scopes", value: (r) => r.scopes.join(" ") },
+      { name: "satellites", value: (r) => r.satellites?.join(" ") ?? "all" },
+      { name: "created", value: (r) => r.created_at, show: (r) => time(r.created_at) },
+      { name: "expires", value: (r) => r.expires_at, show: (r) => r.expires_at ? time(r.expires_at) : "never" },
+      { name: "state", value: (r) => (r.revoked_at ? "revoked" : "in force") },
+      { name: "", value: () => "", show: (r) => r.revoked_at ? "" : h("button", { type: "button", onclick: () => revoke(r) }, "Revoke") },
+    ], keys, { caption: "Keys", file: "keys" }));
+  }
+  async function revoke(key) {
+    const sure = await confirm("Revoke this key?", h("p", {}, `${key.name ?? key.id} (${key.scopes.join(", ")}) stops working at the next request. This cannot be undone.`), "Revoke");
+    if (!sure) return;
+    await api(`/keys/${key.id}/revoke`, { method: "POST" }).catch((problem) => notice(problem.message, "refuse"));
+    await draw();
+  }
+  const audit = section("Audit trail", h("p", { class: "muted" }, "Loading …"));
+  show(h("h1", {}, "Keys"), list, section("New key", ...create(draw)), audit);
+  await draw();
+  const events = await listed("/audit", 500);
+  audit.replaceChildren(audit.firstChild, table([
+    { name: "time", value: (r) => r.at, show: (r) => time(r.at) },
+    { name: "action", value: (r) => r.action },
+    { name: "subject", value: (r) => r.subject },
+    { name: "satellite", value: (r) => r.satellite_id },
+    { name: "key", value: (r) => r.key_id },
+    { name: "address", value: (r) => r.address },
+  ], events, { caption: "Audit trail", file: "audit" }));
+});

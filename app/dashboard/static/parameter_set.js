@@ -1,0 +1,138 @@
+// One parameter set: the verdict and its reasons first, then numbers, then figures; activate and roll back.
+import { api, confirm, facts, fixed, form, field, grade, h, listed, may, notice, nt, option, section, short, show, start, SYMBOLS, tiles, time, title } from "./magcal.js";
+import { differenceTable, parameterTable, statisticsTable } from "./parameters.js";
+import { plot } from "./plot.js";
+
+const id = location.pathname.split("/")[2];
+const CONVENTIONS = ["exact", "first-order", "symmetric", "lower-triangular", "a-matrix"];
+
+async function activeOf(record) {
+  const query = `satellite=${record.satellite}&magnetometer=${record.magnetometer}&status=active&limit=1`;
+  return (await api(`/parameter-sets?${query}`)).items[0] ?? null;
+}
+
+async function activate(record) {
+  const active = await activeOf(record);
+  const content = [
+    h("p", {}, `${record.satellite}, ${record.magnetometer}: this set (`, grade(record.verdict.grade), ") comes into force for the magnetometer at once. ",
+      active ? `The one in force, ${short(active.id)}, is retired; a rollback brings it back.` : "None is in force now."),
+    record.verdict.grade === "refuse" ? h("p", { class: "notice refuse" }, "Its verdict is refuse. Activate it only if you know better.") : null,
+    active ? differenceTable(active, record) : parameterTable(record)];
+  if (!await confirm("Activate this parameter set?", content, "Activate")) return;
+  await change(record, "activate", record.verdict.grade === "refuse" ? { force: true } : {});
+}
+
+async function rollback(record) {
+  const { items } = await api(`/satellites/${record.satellite}/history?magnetometer=${encodeURIComponent(record.magnetometer)}&limit=1000`);
+  const before = items.find((row) => row.id === items.find((one) => one.id === id)?.replaced_id);
+  const full = before ? await api(`/parameter-sets/${before.id}`) : null;
+  const content = [h("p", {}, full ? `Set ${short(full.id)} comes back into force.` : "No set was in force before it: none will be in force then."),
+    full ? differenceTable(record, full, ["in force now", "comes back", "change"]) : null];
+  if (!await confirm("Roll this parameter set back?", content, "Roll back")) return;
+  await change(record, "rollback");
+}
+
+async function change(record, verb, json = undefined) {
+  try {
+    await api(`/parameter-sets/${record.id}/${verb}`, { method: "POST", json });
+    notice(verb === "activate" ? "In force now." : "Rolled back.", "accept");
+    await draw();
+  } catch (problem) {
+    notice(problem.message, "refuse");
+  }
+}
+
+function buttons(record) {
+  const made = [];
+  if (may("operate") && record.status !== "active") made.push(h("button", { class: "primary", onclick: () => activate(record) }, "Activate …"));
+  if (may("operate") && record.status === "active") made.push(h("button", { onclick: () => rollback(record) }, "Roll back …"));
+  made.push(h("a", { class: "button", href: `/api/v1/parameter-sets/${record.id}/report` }, "Report"));
+  return h("div", { class: "actions" }, made);
+}
+
+function verdict(record) {
+  const { grade: name, reasons } = record.verdict;
+  return h("section", { class: `verdict ${name}`, "aria-label": "Verdict" }, h("div", { class: "word" }, `${SYMBOLS[name]} ${name}`),
+    reasons.length ? h("ul", {}, reasons.map((reason) => h("li", {}, reason))) : null,
+    record.warnings.length ? [h("h3", {}, "Warnings"), h("ul", {}, record.warnings.map((warning) => h("li", {}, warning)))] : null);
+}
+
+function candidates(record) {
+  if (!record.candidates.length) return null;
+  const names = ["no.", "cost, nT²", "stationarity", "selected", "bias, nT"];
+  return section("Candidate solutions of the closed form", h("table", {}, h("thead", {}, h("tr", {}, names.map((name) => h("th", { scope: "col" }, name)))),
+    h("tbody", {}, record.candidates.map((one, i) => h("tr", {}, h("td", {}, String(i + 1)), h("td", { class: "n" }, one.cost?.toPrecision(6) ?? "–"),
+      h("td", { class: "n" }, one.stationarity?.toPrecision(2) ?? "–"), h("td", {}, one.selected ? "yes" : "no"),
+      h("td", {}, one.parameters ? one.parameters.bias_nt.map((value) => fixed(value, 1)).join("; ") : one.undefined ?? "undefined"))))));
+}
+
+function exporter(record) {
+  return form([field("convention", "Convention", {}, CONVENTIONS.map((name) => option(name))),
+    field("format", "Format", {}, ["json", "yaml", "csv", "c"].map((name) => option(name)))], "Save", async (values) => {
+    const answer = await fetch(`/api/v1/parameter-sets/${record.id}/export?${new URLSearchParams(values)}`);
+    if (!answer.ok) throw new Error((await answer.json()).detail);
+    const link = h("a", { href: URL.createObjectURL(await answer.blob()), download: `${record.satellite}-${record.magnetometer}-${values.convention}.${values.format === "c" ? "h" : values.format}` });
+    link.click();
+  });
+}
+
+function comparer(record, others) {
+  const rows = others.filter((row) => row.id !== record.id && row.magnetometer === record.magnetometer);
+  if (!rows.length) return h("p", { class: "muted" }, "There is no other set of this magnetometer.");
+  return form([field("second", "With", {}, rows.map((row) => option(row.id, `${short(row.id)} · ${time(row.data_from)} · ${row.method} · ${row.grade}${row.status === "active" ? " · active" : ""}`)))],
+    "Compare", async ({ second }) => { location.href = `/compare?first=${record.id}&second=${second}`; });
+}
+
+function provenance(record) {
+  const { provenance: from } = record;
+  const text = (value) => (value !== null && typeof value === "object" ? JSON.stringify(value) : String(value));
+  return facts([
+    ["parameter set", h("code", {}, record.id)], ["created", time(record.created_at)], ["job", h("code", {}, record.job_id)],
+    ["sessions", record.session_ids.map((one) => [h("a", { href: `/sessions/${one}` }, short(one)), " "])],
+    ...(from.inputs ?? []).map((input, i) => [`input ${i + 1}`, h("code", {}, input.sha256 ?? text(input))]),
+    ...(from.orbits ?? []).map((orbit, i) => [`orbit ${i + 1}`, Object.entries(orbit).map(([name, value]) => `${name.replaceAll("_", " ")} ${typeof value === "number" ? fixed(value, 2) : text(value)}`).join(", ")]),
+    ...Object.entries(from.options ?? {}).map(([name, value]) => [name.replaceAll("_", " "), text(value)]),
+    ["software", from.software ? text(from.software) : null]]);
+}
+
+function first_order(record) {
+  return record.first_order ? h("p", { class: "muted" }, "First-order parameters of the DEKART paper: scale ",
+    record.first_order.scale.map((value) => fixed(value, 6)).join(", "), "; angles ",
+    record.first_order.nonorthogonality_deg.map((value) => fixed(value, 4)).join(", "), " deg. They belong to the paper's first-order matrix.") : null;
+}
+
+async function draw() {
+  const record = await api(`/parameter-sets/${id}`);
+  const { statistics, observability } = record;
+  const figure = (name, ...rest) => plot(`/parameter-sets/${id}/figures/${name}`, ...rest);
+  const others = h("div", {}, h("p", { class: "muted" }, "Loading …"));
+  title(`${record.satellite} ${short(id)}`);
+  show(
+    h("div", { class: "heading" }, h("h1", {}, `Parameter set ${short(id)}`, " ", h("span", { class: `badge status-${record.status}` }, record.status)),
+      h("p", { class: "muted" }, h("a", { href: `/satellites/${record.satellite}` }, record.satellite), ` · ${record.magnetometer} · ${record.method} · ${time(record.data_from)} to ${time(record.data_until)} UTC`), buttons(record)),
+    verdict(record),
+    tiles(["residual RMS", `${nt(statistics.before.rms_nt, 0)} → ${nt(statistics.after.rms_nt)}`, "before → after"],
+      ["cross-validated", nt(statistics.cross_validated_rms_nt), "six blocks of time, each left out in turn"],
+      ["samples", fixed(statistics.samples, 0), `${fixed(statistics.rejected, 0)} left out`],
+      ["observability index", fixed(observability.index, 1), "over 10 is good, under 3 is not observable"],
+      ["coverage", `${fixed(100 * observability.sphere_coverage, 0)} %`, observability.weak_directions.length ? `weak: ${observability.weak_directions.join(", ")}` : "of the body sphere"]),
+    section("Before and after", figure("before-after", "|B| against the model", "Above the reading as it came, below after the correction; dots are the reference field.", 520)),
+    section("Parameters", parameterTable(record), first_order(record)),
+    section("Residuals", statisticsTable(statistics),
+      figure("residual-time", "Residual against time", "Crosses are samples that the fit left out."),
+      h("div", { class: "pair" }, figure("histogram", "Distribution", "Dashed: the normal distribution of the same mean and spread."),
+        figure("autocorrelation", "Autocorrelation", "Outside the grey band residuals are not white, and formal errors are too small.")),
+      h("div", { class: "pair" }, figure("sphere", "On the body sphere", "Residual by the direction of the field in the sensor's frame, equal area.", 400),
+        figure("map", "Over the Earth", "Residual by geocentric latitude and longitude of the satellite.", 420))),
+    section("Correlation", figure("correlation", "Correlation of the parameters", "From the honest covariance.", 410)),
+    record.ablation?.length ? section("Choice of the model", figure("ablation", "Models that were tried", "Taken for the cross-validated residual, never for the residual in the fit.", 260)) : null,
+    record.pointing ? section("Pointing impact", facts(Object.entries(record.pointing).map(([name, value]) => [name.replaceAll("_", " "), String(value)]))) : null,
+    candidates(record),
+    section("Compare", others),
+    section("Export for flight software", exporter(record)),
+    section("Provenance", provenance(record)));
+  const rows = await listed(`/satellites/${record.satellite}/history?magnetometer=${encodeURIComponent(record.magnetometer)}`, 1000);
+  others.replaceChildren(comparer(record, rows));
+}
+
+start(draw);

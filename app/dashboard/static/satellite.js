@@ -1,0 +1,146 @@
+// One satellite: state, history, sessions, parameter sets, orbits, upload.
+import { age, api, field, fixed, form, grade, h, listed, may, notice, nt, option, section, short, show, start, tiles, time, title } from "./magcal.js";
+import { plot, replot } from "./plot.js";
+import { table } from "./table.js";
+import { uploader } from "./upload.js";
+
+const id = decodeURIComponent(location.pathname.split("/")[2]);
+const UNITS = ["nT", "uT", "mT", "T", "G", "mG"];
+
+function statusOf(row) {
+  return tiles(
+    ["active set", row.active ? h("a", { href: `/parameter-sets/${row.active.id}` }, grade(row.active.grade)) : "none", row.magnetometer],
+    ["its data's age", age(row.active?.data_until), row.active ? time(row.active.data_until) : null],
+    ["its residual", nt(row.active?.rms_nt), row.active?.cross_validated_rms_nt ? `cross-validated ${nt(row.active.cross_validated_rms_nt)}` : null],
+    ["last session", row.last_session ? h("a", { href: `/sessions/${row.last_session.id}` }, age(row.last_session.data_until)) : "none",
+      row.last_session ? `${row.last_session.samples} samples` : null],
+    ["jobs waiting or running", String(row.jobs_waiting)]);
+}
+
+const SESSION_COLUMNS = [
+  { name: "session", value: (r) => r.id, show: (r) => h("a", { href: `/sessions/${r.id}` }, short(r.id)) },
+  { name: "magnetometer", value: (r) => r.magnetometer },
+  { name: "from", value: (r) => r.data_from, show: (r) => time(r.data_from) },
+  { name: "until", value: (r) => r.data_until, show: (r) => time(r.data_until) },
+  { name: "samples", numeric: true, value: (r) => r.samples },
+  { name: "used", numeric: true, value: (r) => r.used_samples },
+  { name: "verdict of its newest set", value: (r) => r.grade, show: (r) => r.grade ? h("a", { href: `/parameter-sets/${r.set_id}` }, grade(r.grade)) : "–" },
+  { name: "received", value: (r) => r.created_at, show: (r) => time(r.created_at) },
+];
+
+export const SET_COLUMNS = [
+  { name: "parameter set", value: (r) => r.id, show: (r) => h("a", { href: `/parameter-sets/${r.id}` }, short(r.id)) },
+  { name: "status", value: (r) => r.status, show: (r) => r.status === "active" ? h("strong", {}, "active") : r.status },
+  { name: "verdict", value: (r) => r.grade, show: (r) => grade(r.grade) },
+  { name: "magnetometer", value: (r) => r.magnetometer },
+  { name: "method", value: (r) => r.method },
+  { name: "data from", value: (r) => r.data_from, show: (r) => time(r.data_from) },
+  { name: "RMS before, nT", numeric: true, value: (r) => r.rms_before_nt, show: (r) => fixed(r.rms_before_nt) },
+  { name: "after", numeric: true, value: (r) => r.rms_nt, show: (r) => fixed(r.rms_nt) },
+  { name: "cross-validated", numeric: true, value: (r) => r.cross_validated_rms_nt, show: (r) => fixed(r.cross_validated_rms_nt) },
+  { name: "orbit's age, d", numeric: true, value: (r) => r.orbit_age_days, show: (r) => fixed(r.orbit_age_days, 2) },
+  { name: "samples", numeric: true, value: (r) => r.samples },
+  { name: "created", value: (r) => r.created_at, show: (r) => time(r.created_at) },
+];
+
+const ORBIT_COLUMNS = [
+  { name: "epoch", value: (r) => r.epoch, show: (r) => time(r.epoch) },
+  { name: "format", value: (r) => r.format },
+  { name: "name", value: (r) => r.name },
+  { name: "received", value: (r) => r.created_at, show: (r) => time(r.created_at) },
+];
+
+function addMagnetometer() {
+  return form([
+    field("id", "Id", { required: true, pattern: "[a-z0-9][a-z0-9._\\-]{0,62}", placeholder: "mgm-1" }),
+    field("unit", "Unit of its readings", {}, UNITS.map((unit) => option(unit))),
+    field("noise_nt", "Noise, nT (1 sigma)", { type: "number", min: 0, step: "any" }),
+    field("range_nt", "Range, nT", { type: "number", min: 0, step: "any" }),
+    field("columns", "Column names (JSON, magcal → yours)", { placeholder: '{"time": "ts", "bx": "mag_x"}' }),
+  ], "Add magnetometer", async (values) => {
+    const body = { id: values.id, unit: values.unit };
+    if (values.noise_nt) body.noise_nt = Number(values.noise_nt);
+    if (values.range_nt) body.range_nt = Number(values.range_nt);
+    if (values.columns) body.columns = parsed(values.columns);
+    await api(`/satellites/${id}/magnetometers`, { method: "POST", json: body });
+    location.reload();
+  });
+}
+
+function parsed(text) {
+  try {
+    return JSON.parse(text);
+  } catch {
+    throw new Error("the column names are not valid JSON");
+  }
+}
+
+function addOrbit() {
+  return form([
+    field("content", "TLE or 3LE, OMM, OEM, or a state vector", { rows: 4, required: true, spellcheck: "false",
+      placeholder: "1 46493U 20068R   22050.…\n2 46493  97.7…" }),
+  ], "Add orbit", async ({ content }, node) => {
+    const first = content.trim()[0];
+    const kind = first === "{" || first === "[" ? "application/json" : first === "<" ? "application/xml" : "text/plain";
+    const { items } = await api(`/satellites/${id}/orbits`, { method: "POST", body: content, headers: { "Content-Type": kind } });
+    notice(`${items.length} orbit${items.length > 1 ? "s" : ""} kept, epoch ${time(items[0].epoch)}.`, "accept");
+    node.reset();
+    document.dispatchEvent(new Event("orbits"));
+  });
+}
+
+async function historyOf(magnetometer) {
+  const place = h("div");
+  const { items: sets } = await api(`/satellites/${id}/history?limit=1000`);
+  const query = () => `magnetometer=${encodeURIComponent(magnetometer.value)}`;
+  const address = (name) => `/satellites/${id}/figures/${name}?${query()}`;
+  const figures = sets.length ? [
+    plot(address("history"), "Bias, scale and angles over time", "Bars are one honest standard error; ● accept, ◆ weak, ✕ refuse; the line joins sets in order of their data.", 600),
+    h("div", { class: "pair" },
+      plot(address("residual"), "Residual over time", "Residual RMS of each set in its fit, and cross-validated.", 280),
+      plot(address("orbit-age"), "Age of the orbit", "Dotted lines: 3 days, from where on it is called old, and 14 days, from where on it is refused.", 280)),
+    plot(address("sessions"), "Sessions and activations", "Each session by the verdict of its newest set; bars show which set was in force.", 240),
+  ] : [];
+  magnetometer.addEventListener("change", () => {
+    ["history", "residual", "orbit-age", "sessions"].forEach((name, i) => replot(place.querySelectorAll("figure")[i], address(name)));
+  });
+  place.append(section("Parameter sets", table(SET_COLUMNS, sets, { caption: "Parameter sets", file: `${id}-parameter-sets`,
+    empty: "No parameter set yet: open a session and start a calibration." })));
+  if (figures.length) place.append(section("History", ...figures));
+  return [place, sets];
+}
+
+start(async () => {
+  title(id);
+  const [satellite, { items: states }] = await Promise.all([api(`/satellites/${id}`), api(`/overview?satellite=${id}`)]);
+  const names = satellite.magnetometers.map((one) => one.id);
+  const magnetometer = h("select", { "aria-label": "Magnetometer of the history" }, names.map((name) => option(name)));
+  const sessionsPlace = section("Sessions", h("p", { class: "muted" }, "Loading …"));
+  const orbitsPlace = section("Orbits", h("p", { class: "muted" }, "Loading …"));
+  const setsPlace = h("div");
+  show(h("div", { class: "heading" }, h("h1", {}, satellite.name ?? satellite.id), h("p", { class: "muted" },
+    [satellite.id, satellite.norad_id && `NORAD ${satellite.norad_id}`, satellite.cospar_id].filter(Boolean).join(" · "))),
+    states.filter((row) => row.magnetometer).map(statusOf),
+    !names.length ? h("div", { class: "empty" }, h("h2", {}, "Next step: add its magnetometer"), may("operate") ? addMagnetometer() : null) : null,
+    names.length && may("ingest") ? section("Upload telemetry", uploader(id, satellite.magnetometers)) : null,
+    names.length > 1 ? h("p", {}, "History of ", magnetometer) : null,
+    setsPlace, sessionsPlace, orbitsPlace,
+    may("operate") && names.length ? h("details", {}, h("summary", {}, "Add a magnetometer"), addMagnetometer()) : null);
+
+  async function orbits() {
+    const rows = await listed(`/satellites/${id}/orbits`, 1000);
+    orbitsPlace.replaceChildren(orbitsPlace.firstChild, table(ORBIT_COLUMNS, rows, { caption: "Orbits", file: `${id}-orbits`,
+      empty: "No orbit yet. Telemetry without positions or a reference field needs one: paste a TLE." }),
+      may("ingest", "operate") ? h("details", { open: !rows.length }, h("summary", {}, "Add an orbit"), addOrbit()) : "");
+  }
+  document.addEventListener("orbits", orbits);
+  const [[place, sets], sessions] = await Promise.all([historyOf(magnetometer), listed(`/sessions?satellite=${id}`, 1000), orbits()]);
+  for (const session of sessions) {
+    const newest = sets.find((row) => row.session_ids.includes(session.id));
+    session.grade = newest?.grade;
+    session.set_id = newest?.id;
+  }
+  sessionsPlace.replaceChildren(sessionsPlace.firstChild, table(SESSION_COLUMNS, sessions, { caption: "Sessions", file: `${id}-sessions`,
+    empty: "No telemetry yet: drop a file above, or send it with magcal push." }));
+  setsPlace.append(place);
+});

@@ -1,0 +1,69 @@
+// One session: what it holds, how good it is, and a calibration of it.
+import { age, api, facts, field, fixed, form, grade, h, listed, may, nt, option, section, short, show, start, tiles, time, title } from "./magcal.js";
+import { follow } from "./job.js";
+import { plot } from "./plot.js";
+import { table } from "./table.js";
+
+const id = location.pathname.split("/")[2];
+
+function calibrate(session) {
+  const progress = h("div", { "aria-live": "polite" });
+  const keeping = session.columns.filter((name) => !/^(time|[bq][wxyz]|ref_.*|[xyz]_km)$/.test(name));
+  const node = form([
+    field("method", "Method", {}, [option("scalar", "scalar: |B| only, no attitude needed"), option("vector", "vector: attitude known"),
+      option("scalar-hooke-jeeves", "scalar-hooke-jeeves: the DEKART paper's search"), option("vector-closed-form", "vector-closed-form: the Lagrange paper")]),
+    field("orbit", "Orbit", {}, [option("sgp4"), option("numerical")]),
+    field("time_offset", "Clock offset", {}, [option("auto", "auto: where the orbit is old and the data can show it"), option("none"), option("estimate")]),
+    field("robust", "Outliers", {}, [option("none", "none: plain least squares"), option("huber"), option("soft_l1"), option("cauchy"), option("tukey")]),
+    field("regressors", `Regressors${keeping.length ? ` (${keeping.join(", ")})` : ""}`, { placeholder: "none; names, or auto" }),
+    field("max_orbit_age_days", "Oldest orbit, days", { type: "number", min: 0, step: "any", placeholder: "14" }),
+  ], "Calibrate", async (values) => {
+    const body = { kind: "calibration", session_ids: [id], method: values.method, orbit: values.orbit, time_offset: values.time_offset, robust: values.robust };
+    const names = values.regressors.split(",").map((name) => name.trim()).filter(Boolean);
+    if (names.length) body.regressors = names[0] === "auto" ? "auto" : names;
+    if (values.max_orbit_age_days) body.max_orbit_age_days = Number(values.max_orbit_age_days);
+    const job = await api("/jobs", { method: "POST", json: body });
+    progress.replaceChildren(follow(job, (ended) => {
+      if (ended.state === "succeeded") location.href = `/parameter-sets/${ended.result.parameter_set_id}`;
+    }));
+  });
+  return [node, progress];
+}
+
+const flagRows = (quality) => Object.entries(quality.flags ?? {}).map(([name, count]) => [name.replaceAll("_", " "), `${count} samples`]);
+
+start(async () => {
+  title(`Session ${short(id)}`);
+  const [session, summary] = await Promise.all([api(`/sessions/${id}`), api(`/sessions/${id}/summary`).catch(() => ({}))]);
+  const { quality } = session;
+  const setsPlace = section("Parameter sets from this session", h("p", { class: "muted" }, "Loading …"));
+  show(
+    h("div", { class: "heading" }, h("h1", {}, `Session ${short(id)}`), h("p", { class: "muted" },
+      h("a", { href: `/satellites/${session.satellite}` }, session.satellite), ` · ${session.magnetometer} · ${time(session.data_from)} to ${time(session.data_until)} UTC`)),
+    tiles(["samples", fixed(session.samples, 0), `${fixed(session.used_samples, 0)} usable`],
+      ["|B| measured", summary.b_min_nt === undefined ? "–" : `${fixed(summary.b_min_nt, 0)} … ${fixed(summary.b_max_nt, 0)} nT`, summary.b_median_nt ? `median ${nt(summary.b_median_nt, 0)}` : null],
+      ["coverage of the body sphere", summary.sphere_coverage === undefined ? "–" : `${fixed(100 * summary.sphere_coverage, 0)} %`, "by raw direction"],
+      ["step", quality.step_s ? `${fixed(quality.step_s, 2)} s` : "–", quality.span_s ? `${fixed(quality.span_s / 3600, 2)} h` : null],
+      ["gaps", quality.gaps === undefined ? "–" : String(quality.gaps), quality.longest_gap_s ? `longest ${fixed(quality.longest_gap_s, 0)} s` : null]),
+    session.state === "open" ? h("p", { class: "notice weak" }, "This session is open: further chunks may arrive.") : null,
+    may("operate") && session.samples ? h("section", { id: "calibrate", "aria-labelledby": "calibrate-title" }, h("h2", { id: "calibrate-title" }, "Calibrate"), calibrate(session)) : null,
+    setsPlace,
+    section("Readings", plot(`/sessions/${id}/figures/raw`, "|B| as measured and its components", "Crosses are samples with a flag.", 360)),
+    section("Coverage", plot(`/sessions/${id}/figures/coverage`, "Where on the body sphere the field was seen", "Two hemispheres of the sensor's axes, equal area; large blank regions leave parameters undetermined.", 400)),
+    summary.housekeeping?.length ? section("Housekeeping", plot(`/sessions/${id}/figures/housekeeping`, "Housekeeping columns", "Each may be a regressor of the bias.", 80 + 130 * summary.housekeeping.length)) : null,
+    section("Quality", facts([...flagRows(quality), ["rows without a time", quality.rows_without_time], ["rows out of order", quality.rows_out_of_order],
+      ["columns ignored", quality.columns_ignored?.join(", ") || null], ["columns", session.columns.join(", ")]])),
+    section("Bytes", facts([["SHA-256", session.sha256 ? h("code", {}, session.sha256) : null], ["size", `${fixed(session.size_bytes, 0)} bytes`],
+      ["received", `${time(session.created_at)} (${age(session.created_at)} ago)`], ["chunks", String(session.chunks.length)],
+      ["download", ["csv", "ndjson", "json", "parquet"].map((form) => [h("a", { href: `/api/v1/sessions/${id}/samples?format=${form}`, download: true }, form), " "])]])));
+  const sets = await listed(`/satellites/${session.satellite}/history?session=${id}`, 200);
+  setsPlace.replaceChildren(setsPlace.firstChild, table([
+    { name: "parameter set", value: (r) => r.id, show: (r) => h("a", { href: `/parameter-sets/${r.id}` }, short(r.id)) },
+    { name: "verdict", value: (r) => r.grade, show: (r) => grade(r.grade) },
+    { name: "status", value: (r) => r.status },
+    { name: "method", value: (r) => r.method },
+    { name: "RMS before, nT", numeric: true, value: (r) => r.rms_before_nt, show: (r) => fixed(r.rms_before_nt) },
+    { name: "after", numeric: true, value: (r) => r.rms_nt, show: (r) => fixed(r.rms_nt) },
+    { name: "created", value: (r) => r.created_at, show: (r) => time(r.created_at) },
+  ], sets, { caption: "Parameter sets from this session", file: `session-${short(id)}-parameter-sets`, empty: "None yet." }));
+});

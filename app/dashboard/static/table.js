@@ -1,0 +1,70 @@
+// A table that sorts, filters, shows more on demand and saves itself as CSV.
+import { h } from "./magcal.js";
+
+const PAGE = 50;
+
+// columns: [{ name, value: row => number|string, show?: row => text or node, numeric?: bool }]
+export function table(columns, rows, { caption, file = "table", empty = "Nothing here yet.", sort = null } = {}) {
+  if (!rows.length) return h("p", { class: "muted" }, empty);
+  const order = { column: sort?.column ?? null, up: sort?.up ?? false };
+  let wanted = "";
+  let most = PAGE;
+
+  const text = (column, row) => {
+    const value = column.value(row);
+    return value === null || value === undefined ? "" : String(value);
+  };
+  const head = columns.map((column, i) => h("th", { scope: "col", class: column.numeric ? "n" : "" },
+    h("button", { type: "button", class: "sort", onclick: () => sortBy(i) }, column.name)));
+  const body = h("tbody");
+  const count = h("span", { class: "muted" });
+  const more = h("button", { type: "button", onclick: () => { most += 4 * PAGE; draw(); } });
+  const filter = h("input", { type: "search", placeholder: "Filter", "aria-label": `Filter ${caption}`,
+    oninput: (event) => { wanted = event.target.value.toLowerCase(); most = PAGE; draw(); } });
+
+  function found() {
+    const kept = rows.filter((row) => !wanted || columns.some((column) => text(column, row).toLowerCase().includes(wanted)));
+    if (order.column === null) return kept;
+    const { value } = columns[order.column];
+    const rank = (row) => value(row) ?? "";
+    return kept.sort((a, b) => {
+      const [x, y] = [rank(a), rank(b)];
+      const sign = typeof x === "number" && typeof y === "number" ? x - y : String(x).localeCompare(String(y));
+      return order.up ? sign : -sign;
+    });
+  }
+
+  function sortBy(i) {
+    order.up = order.column === i ? !order.up : !columns[i].numeric;
+    order.column = i;
+    draw();
+  }
+
+  function draw() {
+    const all = found();
+    head.forEach((cell, i) => {
+      if (order.column === i) cell.setAttribute("aria-sort", order.up ? "ascending" : "descending");
+      else cell.removeAttribute("aria-sort");
+    });
+    body.replaceChildren(...all.slice(0, most).map((row) => h("tr", {}, columns.map((column) =>
+      h("td", { class: column.numeric ? "n" : "" }, (column.show ?? ((r) => text(column, r)))(row) ?? "–")))));
+    count.textContent = wanted ? `${all.length} of ${rows.length}` : `${rows.length}`;
+    more.hidden = all.length <= most;
+    more.textContent = `Show more (${all.length - most} hidden)`;
+  }
+
+  function save() {
+    const cell = (value) => (/[",\n]/.test(value) ? `"${value.replaceAll('"', '""')}"` : value);
+    const lines = [columns.map((column) => cell(column.name)), ...found().map((row) => columns.map((column) => cell(text(column, row))))];
+    const blob = new Blob([lines.map((line) => line.join(",")).join("\r\n") + "\r\n"], { type: "text/csv" });
+    const link = h("a", { href: URL.createObjectURL(blob), download: `${file}.csv` });
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+  }
+
+  draw();
+  return h("div", { class: "table" },
+    h("div", { class: "tools" }, filter, count, h("button", { type: "button", class: "quiet", onclick: save, "aria-label": `Save ${caption} as CSV` }, "CSV")),
+    h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": caption },
+      h("table", {}, h("thead", {}, h("tr", {}, head)), body)), more);
+}
