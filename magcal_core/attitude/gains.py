@@ -131,11 +131,14 @@ class GainProposal:
         }
 
 
-def propose_gains(orbit: CircularOrbit, body: Body, field: FieldModel, *, dt_s: float = 0.5) -> GainProposal:
+def propose_gains(
+    orbit: CircularOrbit, body: Body, field: FieldModel, *, dt_s: float = 0.5, orbits: int = 1
+) -> GainProposal:
     """Return gains with which the attitude converges fastest that the wheels and the control period allow.
 
     tau is the one with the shortest e-fold on this orbit, kp the wheels' torque limit, so that no error of attitude
     alone saturates them and disturbances turn the body least; kp is less where the control period asks for it.
+    ``orbits`` as in `efold_s`: 1 for the dipole, 15 for others.
 
     Raises
     ------
@@ -144,8 +147,8 @@ def propose_gains(orbit: CircularOrbit, body: Body, field: FieldModel, *, dt_s: 
 
     Notes
     -----
-    ``kd dt / J <= 1`` keeps the sampled loop well damped; ``zeta >= 1`` is twice the limit of stability. The inertia acts
-    as a tau shorter by 2 J / kd, as in `growth_rate_per_s`.
+    ``kd dt / J <= 1`` keeps the sampled loop well damped; ``zeta >= 1`` is twice the limit of stability. The inertia
+    acts as a tau shorter by 2 J / kd, as in `growth_rate_per_s`.
     """
     moments = np.linalg.eigvalsh(body.inertia_kg_m2)
     tau = np.geomspace(*TAU_RANGE_S, 120)
@@ -159,7 +162,7 @@ def propose_gains(orbit: CircularOrbit, body: Body, field: FieldModel, *, dt_s: 
         )
     effective_s = tau - 2.0 * moments.mean() / (kp * tau)
     slowest = np.full(tau.size, np.inf)
-    slowest[usable] = efold_s(orbit, field, effective_s[usable], steps=800)
+    slowest[usable] = efold_s(orbit, field, effective_s[usable], orbits=orbits, steps=400)
     best = int(np.argmin(slowest)) if np.isfinite(slowest).any() else int(np.flatnonzero(usable)[0])
     gains = Gains(float(kp[best]), float(kp[best] * tau[best]))
     return GainProposal(gains, float(tau[best]), float(slowest[best]), damping_ratio(gains, float(moments[2])))

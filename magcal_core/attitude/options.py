@@ -24,6 +24,8 @@ from magcal_core.series import extreme_indices
 
 ALIASES: Final[Mapping[str, str]] = {"start": "start_deg", "turn": "turn_deg", "kp": "kp_nm", "kd": "kd_nms"}
 """Names of the command line's options that a job may use for those with a unit."""
+ORBITS_A_DAY: Final = 15
+"""Orbits over which gains are judged where the field is not that of the dipole: the Earth turns once."""
 SERIES_POINTS: Final = 2000
 """Most points of each series in a job's result."""
 _NONE: Triple = (0.0, 0.0, 0.0)
@@ -132,7 +134,8 @@ class RomOptions:
 
     def proposal(self) -> GainProposal:
         """Return the gains that magcal proposes for this orbit, body and field."""
-        return propose_gains(self.orbit(), self.body(), _model(self.field), dt_s=self.dt_s)
+        orbits = 1 if self.field == "dipole" else ORBITS_A_DAY
+        return propose_gains(self.orbit(), self.body(), _model(self.field), dt_s=self.dt_s, orbits=orbits)
 
     def scenario(self) -> RomScenario:
         """Return the scenario, in the units of the core.
