@@ -37,7 +37,7 @@ MAX_SPAN_DAYS: Final = 366.0
 """Longest time from the epoch; beyond it the drag that nobody knows has long won."""
 
 FIT_DAYS: Final = 1.0
-"""Length of the stretch of another orbit, ending at its epoch, through which `numerical_from` lays a numerical one."""
+"""Length of the stretch of another orbit through which `numerical_from` lays a numerical one."""
 
 _FIRST_STEP_S: Final = 10.0
 _MAX_STEPS: Final = 4_000_000
@@ -290,15 +290,19 @@ def numerical_from(
     degree: int = 12,
     third_bodies: bool = True,
     fit_days: float = FIT_DAYS,
+    around_utc: np.datetime64 | None = None,
 ) -> NumericalOrbit:
     """Return a numerical orbit in place of ``orbit``, such as SGP4; a numerical orbit is returned as it is.
 
     Parameters
     ----------
     method : str
-        ``fit``, the default: through the stretch of ``fit_days`` that ends at the orbit's epoch, by least squares.
-        ``epoch``: from the one state at the epoch. SGP4 leaves out short-periodic terms, so one of its states is
-        hundreds of metres off, and the period with it; the fit averages that (docs/numerical-orbit.md has figures).
+        ``fit``, the default: by least squares through a stretch of ``fit_days``. SGP4 leaves out short-periodic terms,
+        so that its states are hundreds of metres off, and the period with them; the fit averages that out.
+        ``epoch``: from the one state at the epoch, as the DEKART paper does (docs/numerical-orbit.md has figures).
+    around_utc : datetime64, optional
+        Middle of the stretch, such as the middle of the telemetry; by default the orbit's epoch. The numerical orbit
+        keeps the epoch of ``orbit`` either way, and with it the age of what it was made from.
 
     Raises
     ------
@@ -314,7 +318,9 @@ def numerical_from(
         return NumericalOrbit(orbit.epoch_utc, r_km[0], v_km_s[0], degree, third_bodies)
     if method != "fit":
         raise OptionError(f"unknown way to a numerical orbit {method!r}; known are fit, epoch")
-    return fitted_to(orbit, -fit_days * 86400.0, 0.0, degree=degree, third_bodies=third_bodies)
+    middle_s = 0.0 if around_utc is None else float((around_utc - orbit.epoch_utc) / np.timedelta64(1, "ns")) / 1e9
+    half_s = fit_days * 43200.0
+    return fitted_to(orbit, middle_s - half_s, middle_s + half_s, degree=degree, third_bodies=third_bodies)
 
 
 def fitted_to(
@@ -329,25 +335,28 @@ def fitted_to(
 
     Notes
     -----
-    Gauss-Newton for the state at the epoch, positions once a minute with equal weight; the partial derivatives are
-    differences of orbits in the field of degree 2, which is near enough for a step.
+    Gauss-Newton for the state in the middle of the stretch, positions once a minute with equal weight; the partial
+    derivatives are differences of orbits in the field of degree 2, which is near enough for a step. The state is then
+    carried to the epoch.
     """
     if not until_s > from_s:
         raise OptionError(f"the stretch to fit ends at {until_s} s, before it begins at {from_s} s")
-    epoch = orbit.epoch_utc
-    seconds = np.linspace(from_s, until_s, max(int((until_s - from_s) / 60.0), 20) + 1)
-    t_utc = epoch + np.round(seconds * 1e9).astype("timedelta64[ns]")
-    wanted_km, _ = orbit.state_gcrf(t_utc)
-    r_km, v_km_s = orbit.state_gcrf(np.array([epoch], "datetime64[ns]"))
-    state = np.concatenate([r_km[0], v_km_s[0]])
-    partials = _position_partials(epoch, state, t_utc)
+    offsets_s = np.linspace(from_s, until_s, 2 * max(int((until_s - from_s) / 120.0), 10) + 1)
+    t_utc = orbit.epoch_utc + np.round(offsets_s * 1e9).astype("timedelta64[ns]")
+    middle = t_utc[len(t_utc) // 2]
+    wanted_km, wanted_km_s = orbit.state_gcrf(t_utc)
+    state = np.concatenate([wanted_km[len(t_utc) // 2], wanted_km_s[len(t_utc) // 2]])
+    partials = _position_partials(middle, state, t_utc)
     for _ in range(20):
-        fitted = NumericalOrbit(epoch, state[:3], state[3:], degree, third_bodies)
+        fitted = NumericalOrbit(middle, state[:3], state[3:], degree, third_bodies)
         step = np.linalg.lstsq(partials, (wanted_km - fitted.state_gcrf(t_utc)[0]).ravel(), rcond=None)[0]
         state = state + step
         if np.abs(step[:3]).max() < 1e-6 and np.abs(step[3:]).max() < 1e-9:
-            return NumericalOrbit(epoch, state[:3], state[3:], degree, third_bodies)
-    raise PropagationError(f"numerical orbit of {epoch}: no convergence to the {orbit.model} orbit in 20 iterations")
+            best = NumericalOrbit(middle, state[:3], state[3:], degree, third_bodies)
+            r_km, v_km_s = best.state_gcrf(np.array([orbit.epoch_utc]))
+            return NumericalOrbit(orbit.epoch_utc, r_km[0], v_km_s[0], degree, third_bodies)
+    why = f"no convergence to the {orbit.model} orbit in 20 iterations"
+    raise PropagationError(f"numerical orbit of {orbit.epoch_utc}: {why}")
 
 
 def _position_partials(epoch_utc: np.datetime64, state: Floats, t_utc: Times) -> Floats:
