@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 Form = Literal["corrected", "printed"]
 StartRate = Literal["inertial", "orbital", "body"]
 
-MAX_STEPS: Final = 2_000_000
+MAX_STEPS: Final = 1_000_000
 """Largest number of control steps of one simulation."""
 
 
