@@ -1,0 +1,230 @@
+"""`magcal calibrate`: telemetry files in, parameter set out, with no server."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import click
+
+from app.cli.calibration_report import print_calibration
+from app.cli.options import (
+    INPUT_FILE,
+    OUTPUT_FILE,
+    ColumnMap,
+    F,
+    LateProgress,
+    added,
+    orbit_of_state,
+    orbits_of_file,
+    usage_error,
+)
+from magcal_core.errors import InputError, OptionError
+from magcal_core.options import METHODS, NOISE_MODELS, ORBIT_MODELS, ROBUST_LOSSES, TIME_OFFSETS, CalibrationOptions
+from magcal_core.units import NT_PER_UNIT
+
+if TYPE_CHECKING:
+    from magcal_core.calibration.result import Calibration
+    from magcal_core.samples import Samples
+    from magcal_core.telemetry import Telemetry
+
+STDIN: Final = "-"
+
+
+def _telemetry_options(function: F) -> F:
+    """Add the options of how telemetry is read."""
+    return added(function, [
+        click.option("--unit", type=click.Choice(list(NT_PER_UNIT)), default="nT", show_default=True,
+                     help="Unit of the readings."),
+        click.option("--columns", type=ColumnMap(), help='The file\'s own names: {"time": "ts", "bx": "mag_0", ...}.'),
+        click.option("--format", "kind", type=click.Choice(["csv", "ndjson", "json", "parquet"]),
+                     help="Format.  [default: told by the file's ending or its first bytes]"),
+        click.option("--range", "range_nt", type=float, help="Range of the sensor, nT: readings beyond are saturated."),
+        click.option("--time-scale", type=click.Choice(["utc", "gps"]), default="utc", show_default=True),
+        click.option("--max-bad", "max_bad_fraction", type=click.FloatRange(0, 1), default=0.05, show_default=True,
+                     help="Share of samples without a reading or reference that is still accepted."),
+        click.option("--any-field", is_flag=True,
+                     help="Do not check the unit by |B| in low Earth orbit: other orbits, laboratory data."),
+    ])  # fmt: skip
+
+
+def _orbit_options(function: F) -> F:
+    """Add the options of where the satellite was."""
+    return added(function, [
+        click.option("--tle", "orbit_files", type=INPUT_FILE, multiple=True, help="TLEs, any number."),
+        click.option("--state", "states", type=INPUT_FILE, multiple=True,
+                     help="State vector, JSON {epoch, frame, position_km, velocity_km_s}."),
+        click.option("--orbit-file", "orbit_files", type=INPUT_FILE, multiple=True, help="TLE, OMM or OEM."),
+        click.option("--orbit", type=click.Choice(ORBIT_MODELS), help="How elements are propagated.  [default: sgp4]"),
+        click.option("--max-orbit-age-days", type=float, help="Refuse orbits further from the data.  [default: 14]"),
+        click.option("--field", help="Field model: igrf, igrf-14, igrf-13, dipole.  [default: igrf]"),
+        click.option("--field-max-degree", type=int, help="Cut the field model at this degree."),
+    ])  # fmt: skip
+
+
+def _estimation_options(function: F) -> F:
+    """Add the options of what is estimated, and how."""
+    return added(function, [
+        click.option("--method", type=click.Choice(METHODS), help="Estimator.  [default: scalar]"),
+        click.option("--time-offset", type=click.Choice(TIME_OFFSETS), help="Clock offset.  [default: auto]"),
+        click.option("--time-drift", is_flag=True, default=None, help="Estimate a drift of the clock as well."),
+        click.option("--regressors", help="Columns that move the bias: a,b,.. or auto.  [default: none]"),
+        click.option("--robust", type=click.Choice(ROBUST_LOSSES), help="Loss.  [default: none]"),
+        click.option("--noise-model", type=click.Choice(NOISE_MODELS), help="[default: none]"),
+        click.option("--noise", "noise_nt", type=float, help="Noise of a component, nT, where it is known."),
+        click.option("--bootstrap", type=int, help="Replicates of the block bootstrap.  [default: 0]"),
+        click.option("--seed", type=int, help="Seed of the bootstrap.  [default: 0]"),
+    ])  # fmt: skip
+
+
+@click.command("calibrate")
+@click.argument("telemetry", nargs=-1, required=True,
+                type=click.Path(exists=True, dir_okay=False, allow_dash=True, path_type=Path))  # fmt: skip
+@_orbit_options
+@_estimation_options
+@_telemetry_options
+@click.option("--json", "as_json", is_flag=True, help="Print the parameter set as JSON.")
+@click.option("--residuals", type=OUTPUT_FILE, help="Write the residual table: .csv, .ndjson, .json or .parquet.")
+@click.option("-o", "--output", type=OUTPUT_FILE, help="Write the parameter set as JSON to this file too.")
+def command(
+    *,
+    telemetry: tuple[Path, ...],
+    orbit_files: tuple[Path, ...],
+    states: tuple[Path, ...],
+    unit: str,
+    columns: Mapping[str, str] | None,
+    kind: str | None,
+    range_nt: float | None,
+    time_scale: str,
+    max_bad_fraction: float,
+    any_field: bool,
+    as_json: bool,
+    residuals: Path | None,
+    output: Path | None,
+    **asked: str | float | None,
+) -> None:
+    """Calibrate a magnetometer from TELEMETRY: one file or several, or - for stdin.
+
+    Without reference columns in the telemetry (ref_bx.., ref_b, ref_eci_x.., x_km..) an orbit is needed.
+    """
+    from magcal_core.pipeline import calibrate
+    from magcal_core.telemetry import format_of_name
+
+    options = _options(asked)
+    if residuals is not None and format_of_name(residuals) is None:
+        raise click.UsageError(f"{residuals}: the ending tells no format; use .csv, .ndjson, .json or .parquet")
+    reading = Reading(unit, columns, kind, range_nt, time_scale, max_bad_fraction, not any_field)
+    samples, inputs = _read_all(telemetry, reading)
+    orbits = [orbit for path in orbit_files for orbit in orbits_of_file(path)]
+    orbits += [orbit_of_state(path) for path in states]
+    with LateProgress("calibrating") as progress:
+        calibration = calibrate(samples, orbits, options, progress=progress)
+    record = parameter_set(calibration, inputs)
+    if residuals is not None:
+        _write_residuals(calibration, residuals)
+    if output is not None:
+        output.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    if as_json:
+        click.echo(json.dumps(record))
+    else:
+        print_calibration(calibration)
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """How telemetry files are read."""
+
+    unit: str
+    columns: Mapping[str, str] | None
+    kind: str | None
+    range_nt: float | None
+    time_scale: str
+    max_bad_fraction: float
+    is_field_checked: bool
+
+    def read(self, path: Path) -> tuple[Telemetry, str]:
+        """Return the telemetry of one file, or of stdin, and the SHA-256 of its bytes."""
+        from magcal_core.telemetry import format_of_name, read_telemetry
+        from magcal_core.telemetry.quality import LEO_FIELD_NT
+
+        content = sys.stdin.buffer.read() if str(path) == STDIN else path.read_bytes()
+        telemetry = read_telemetry(
+            content,
+            columns=self.columns,
+            unit=self.unit,
+            format=self.kind or format_of_name(path),
+            range_nt=self.range_nt,
+            time_scale=self.time_scale,
+            field_range_nt=LEO_FIELD_NT if self.is_field_checked else None,
+            max_bad_fraction=self.max_bad_fraction,
+        )
+        return telemetry, hashlib.sha256(content).hexdigest()
+
+
+def _read_all(paths: tuple[Path, ...], reading: Reading) -> tuple[Samples, list[dict[str, object]]]:
+    """Return the samples of all files, and what they were."""
+    from magcal_core.telemetry import merge_samples
+
+    parts: list[Samples] = []
+    inputs: list[dict[str, object]] = []
+    for path in paths:
+        try:
+            telemetry, digest = reading.read(path)
+        except InputError as error:
+            if len(paths) > 1:
+                error.message = f"{path}: {error.message}"
+            raise
+        parts.append(telemetry.samples)
+        inputs.append({"name": path.name, "sha256": digest, "quality": telemetry.quality.to_dict()})
+    return merge_samples(parts), inputs
+
+
+def _options(asked: Mapping[str, object]) -> CalibrationOptions:
+    """Return the options that were given on the command line; the others keep their defaults."""
+    given = {name: value for name, value in asked.items() if value is not None}
+    regressors = given.get("regressors")
+    if isinstance(regressors, str) and regressors != "auto":
+        given["regressors"] = tuple(name.strip() for name in regressors.split(",") if name.strip())
+    try:
+        return CalibrationOptions.from_dict(given)
+    except OptionError as error:
+        raise usage_error(error) from error
+
+
+def parameter_set(calibration: Calibration, inputs: list[dict[str, object]]) -> dict[str, object]:
+    """Return the parameter set of a calibration as the service has it, without the ids that only the service knows."""
+    record = calibration.to_dict()
+    provenance = record["provenance"]
+    software = {"name": "magcal-service", "version": version("magcal-service")}
+    record["created_at"] = datetime.now(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
+    record["provenance"] = {"software": software, "inputs": inputs} | (
+        provenance if isinstance(provenance, dict) else {}
+    )
+    finite = _without_nan(record)
+    return finite if isinstance(finite, dict) else record
+
+
+def _without_nan(value: object) -> object:
+    """Return a document with null in place of the numbers that JSON cannot say."""
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: _without_nan(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(one) for one in value]
+    return value
+
+
+def _write_residuals(calibration: Calibration, path: Path) -> None:
+    from app.parameter_sets.residuals import residual_table
+    from magcal_core.telemetry import WRITERS, format_of_name
+
+    path.write_bytes(WRITERS[format_of_name(path) or "csv"](residual_table(calibration.residuals)))

@@ -1,0 +1,194 @@
+"""What the commands of the core share: how files and numbers are given, and progress for what takes its time."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, TypeVar
+
+import click
+
+from magcal_core.errors import OptionError, OrbitFormatError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from rich.progress import Progress, TaskID
+
+    from magcal_core.orbit import Orbit
+
+INPUT_FILE: Final = click.Path(exists=True, dir_okay=False, path_type=Path)
+OUTPUT_FILE: Final = click.Path(dir_okay=False, writable=True, path_type=Path)
+SHOW_PROGRESS_AFTER_S: Final = 1.0
+"""Work that ends sooner shows no progress bar."""
+
+F = TypeVar("F", bound=Callable[..., object])
+
+
+class Numbers(click.ParamType[tuple[float, ...]]):
+    """A fixed count of numbers, commas or blanks between them."""
+
+    name = "NUMBERS"
+
+    def __init__(self, *counts: int) -> None:
+        self.counts = counts
+        self.name = "|".join(",".join("XYZUVW"[:count]) for count in counts)
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+        """Return the numbers of ``value``."""
+        if isinstance(value, tuple):
+            return value
+        try:
+            numbers = tuple(float(part) for part in str(value).replace(",", " ").split())
+        except ValueError:
+            numbers = ()
+        if len(numbers) not in self.counts:
+            wanted = " or ".join(str(count) for count in self.counts)
+            self.fail(f"{value!r}: want {wanted} numbers with commas between them", param, ctx)
+        return numbers
+
+
+class ColumnMap(click.ParamType[Mapping[str, str]]):
+    """A map of column names: JSON, or a file that holds it."""
+
+    name = "JSON|FILE"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> Mapping[str, str]:
+        """Return the map of ``value``."""
+        if isinstance(value, Mapping):
+            return value
+        text = str(value)
+        if not text.lstrip().startswith("{"):
+            path = Path(text)
+            if not path.is_file():
+                self.fail(f"{text!r} is neither JSON nor a file", param, ctx)
+            text = path.read_text(encoding="utf-8")
+        try:
+            columns = json.loads(text)
+        except ValueError as error:
+            self.fail(f"not JSON: {error}", param, ctx)
+        if not isinstance(columns, dict) or not all(isinstance(own, str) for own in columns.values()):
+            self.fail('want {"time": "ts", "bx": "mag_0", ...}', param, ctx)
+        return columns
+
+
+class VectorCommand(click.Command):
+    """A command whose vector options also take three separate numbers: ``--bias 1 2 3`` beside ``--bias 1,2,3``."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Join three numbers after a vector option, then parse."""
+        names = {
+            name
+            for param in self.params
+            if isinstance(param.type, Numbers) and 3 in param.type.counts
+            for name in param.opts
+        }
+        joined: list[str] = []
+        rest = list(args)
+        while rest:
+            joined.append(rest.pop(0))
+            if joined[-1] in names and len(rest) >= 3 and all(_is_number(text) for text in rest[:3]):
+                joined.append(",".join(rest[:3]))
+                del rest[:3]
+        return super().parse_args(ctx, joined)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def added(function: F, options: Sequence[Callable[[F], F]]) -> F:
+    """Return ``function`` with ``options`` added, in the order in which `--help` lists them."""
+    for option in reversed(options):
+        function = option(function)
+    return function
+
+
+def usage_error(error: OptionError) -> click.UsageError:
+    """Return the wrong use of a command that an option's fault is."""
+    return click.UsageError("\n".join(str(fault) for fault in error.faults) or error.message)
+
+
+def orbits_of_file(path: Path) -> list[Orbit]:
+    """Return the orbits in a file: TLEs, any number.
+
+    Raises
+    ------
+    InputError
+        The file holds no sound orbit.
+    """
+    from magcal_core.orbit.sgp4 import Sgp4Orbit
+    from magcal_core.orbit.tle import parse_tles
+
+    return [Sgp4Orbit(tle) for tle in parse_tles(read_text(path))]
+
+
+def orbit_of_state(path: Path) -> Orbit:
+    """Return the numerical orbit through the state vector in a JSON file.
+
+    Raises
+    ------
+    OrbitFormatError
+        The file is no state vector of a satellite.
+    """
+    from magcal_core.orbit.numerical import NumericalOrbit
+    from magcal_core.orbit.state import parse_state
+
+    state = parse_state(read_text(path)).in_frame("GCRF")
+    return NumericalOrbit(state.epoch_utc, state.r_km, state.v_km_s)
+
+
+def nearest(orbits: Sequence[Orbit], t_utc: np.datetime64) -> Orbit:
+    """Return the orbit whose epoch is nearest to ``t_utc``."""
+    return min(orbits, key=lambda orbit: abs(orbit.epoch_utc - t_utc))
+
+
+def read_text(path: Path) -> str:
+    """Return the text of an orbit file.
+
+    Raises
+    ------
+    OrbitFormatError
+        The file is not UTF-8.
+    """
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise OrbitFormatError(f"{path}: not UTF-8 at byte offset {error.start}") from error
+
+
+class LateProgress:
+    """A progress bar on stderr that appears on a terminal only, and only for work that takes longer than a second."""
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+        self._since = time.monotonic()
+        self._bar: Progress | None = None
+        self._task: TaskID | None = None
+
+    def __enter__(self) -> LateProgress:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def __call__(self, fraction: float) -> None:
+        """Show that ``fraction``, 0 to 1, of the work is done."""
+        if not sys.stderr.isatty() or time.monotonic() - self._since < SHOW_PROGRESS_AFTER_S:
+            return
+        if self._bar is None:
+            from rich.console import Console
+            from rich.progress import Progress
+
+            self._bar = Progress(console=Console(stderr=True), transient=True)
+            self._task = self._bar.add_task(self._what, total=1.0)
+            self._bar.start()
+        if self._task is not None:
+            self._bar.update(self._task, completed=fraction)
