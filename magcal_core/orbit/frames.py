@@ -4,8 +4,8 @@ Notes
 -----
 TEME to ITRF is ``W R3(GMST82(UT1))`` with ``W = pom00(xp, yp, 0)`` (SGP4); GCRF to ITRF is the IAU 2006/2000A
 reduction with the TIO locator (IERS2010); TEME and GCRF meet in ITRF; J2000 is ``pnm80(TT)^T R3(-eqeq94) r_TEME``,
-which only the DEKART paper uses. Velocities are inertial, along the axes of GCRF, TEME or J2000 as they stand, and
-Earth-fixed in ITRF.
+which only the DEKART paper uses; EME2000 is GCRF less the frame bias of IAU 2006, as ephemerides of today have it.
+Velocities are inertial, along the axes of the frame as they stand, and Earth-fixed in ITRF.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from magcal_core.orbit.timescales import Times, julian_tt
 
 Floats = NDArray[np.float64]
 State = tuple[Floats, Floats]
-Frame = Literal["GCRF", "ITRF", "TEME", "J2000"]
+Frame = Literal["GCRF", "ITRF", "TEME", "J2000", "EME2000"]
 
 FRAMES: Final[tuple[Frame, ...]] = get_args(Frame)
 ERA_RATE_RAD_S: Final = 7.292115146706979e-5
@@ -121,6 +121,9 @@ def _to_itrf(t_utc: Times, frame: Frame, *, inverse: bool = False) -> Floats:
             matrix = np.broadcast_to(np.eye(3), (np.size(t_utc), 3, 3))
         case "GCRF":
             matrix = gcrf_to_itrf_matrix(t_utc)
+        case "EME2000":
+            bias = erfa.bp06(erfa.DJ00, 0.0)[0]
+            matrix = gcrf_to_itrf_matrix(t_utc) @ np.transpose(bias)
         case "TEME":
             matrix = teme_to_itrf_matrix(t_utc)
         case "J2000":
