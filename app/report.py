@@ -271,7 +271,7 @@ def _script_json(text: str) -> str:
 
 @cache
 def _environment() -> Environment:
-    from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415
+    from jinja2 import Environment, PackageLoader, StrictUndefined
 
     made = Environment(loader=PackageLoader("app.dashboard"), autoescape=True, undefined=StrictUndefined)
     made.filters["digits"] = lambda value, digits: "–" if value is None else f"{value:,.{digits}f}"

@@ -78,7 +78,7 @@ def get_history(satellite_id: str, query: Annotated[HistoryQuery, Query()], call
 @router.get("/sessions/{session_id}/summary")
 def get_session_summary(session_id: str, caller: Reader, db: Db, store: Blobs) -> SessionSummary:
     """Show what the readings of a session span."""
-    from magcal_core.calibration.observability import sphere_coverage  # noqa: PLC0415
+    from magcal_core.calibration.observability import sphere_coverage
 
     samples = _samples(session_id, caller, db, store)
     h_nt = samples.h_nt[samples.is_used]
@@ -100,7 +100,7 @@ def get_session_residual(
     session_id: str, query: Annotated[ResidualQuery, Query()], caller: Reader, db: Db, store: Blobs
 ) -> ResidualSummary:
     """Show the residual of |B| that a session has under a parameter set, which need not come from it."""
-    from app.dashboard.checking import residual_under  # noqa: PLC0415
+    from app.dashboard.checking import residual_under
 
     with db.read() as session:
         row = ParameterSetRepository(session, caller).get(query.parameter_set)
@@ -181,7 +181,7 @@ def get_comparison_figure(query: Annotated[CompareQuery, Query()], caller: Reade
 )
 def get_report(parameter_set_id: str, caller: Reader, db: Db, store: Blobs) -> Response:
     """Give the report of a parameter set as one page that needs nothing else and prints as it stands."""
-    from app.report import render_report  # noqa: PLC0415
+    from app.report import render_report
 
     row = _parameter_set(parameter_set_id, caller, db)
     record: ParameterSetRecord = record_of(row)
@@ -194,7 +194,7 @@ def get_report(parameter_set_id: str, caller: Reader, db: Db, store: Blobs) -> R
 
 
 def _now() -> str:
-    from app.database import utc_now  # noqa: PLC0415
+    from app.database import utc_now
 
     return utc_text(utc_now())[:19].replace("T", " ") + " UTC"
 

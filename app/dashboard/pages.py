@@ -36,7 +36,7 @@ WRONG_KEY: Final = "This is not a valid key. It may have expired or been revoked
 @cache
 def templates() -> Environment:
     """Return the environment of the pages' templates."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415
+    from jinja2 import Environment, PackageLoader, StrictUndefined
 
     return Environment(loader=PackageLoader("app.dashboard"), autoescape=True, undefined=StrictUndefined)
 
@@ -44,7 +44,7 @@ def templates() -> Environment:
 @cache
 def asset_version() -> str:
     """Return the version of the plot library, which is part of its address."""
-    from importlib.metadata import version  # noqa: PLC0415
+    from importlib.metadata import version
 
     return version("plotly")
 
@@ -195,7 +195,7 @@ def _plotly() -> bytes:
 
 @cache
 def _plotly_gzip() -> bytes:
-    import gzip  # noqa: PLC0415
+    import gzip
 
     return gzip.compress(_plotly(), 6, mtime=0)
 
@@ -210,7 +210,7 @@ STATIC_TYPES: Final = {
 @cache
 def _static() -> dict[str, tuple[bytes, str, str]]:
     """Return name -> content, media type and ETag of the dashboard's own files, read once."""
-    import hashlib  # noqa: PLC0415
+    import hashlib
 
     found = {}
     for path in (resources.files("app.dashboard") / "static").iterdir():

@@ -1,0 +1,90 @@
+"""`magcal report`: the report of a parameter set, from a file or from a service, as HTML and as PDF."""
+
+from __future__ import annotations
+
+import re
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import click
+
+from app.errors import NotFoundError
+
+if TYPE_CHECKING:
+    from app.records import ParameterSetRecord
+    from magcal_core.calibration.result import ResidualTable
+
+IDENTIFIER: Final = re.compile(r"[0-9a-f]{32}")
+FORMATS: Final = {".csv": "csv", ".json": "json", ".ndjson": "ndjson", ".jsonl": "ndjson", ".parquet": "parquet"}
+FILE: Final = click.Path(exists=True, dir_okay=False, path_type=Path)
+
+
+@click.command("report")
+@click.argument("source", metavar="PARAMETER_SET|RESULT.json")
+@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), default=Path("report.html"),
+              show_default=True, help="File to write; one that ends in .pdf is printed.")  # fmt: skip
+@click.option("--residuals", type=FILE, help="Residual table of RESULT.json: CSV, JSON, NDJSON or Parquet.")
+@click.option("--pdf", is_flag=True, help="Print a PDF beside the HTML, through an installed Chromium.")
+@click.option("--url", envvar="MAGCAL_URL", default="http://127.0.0.1:8000", show_default=True,
+              help="The service that has the parameter set (MAGCAL_URL).")  # fmt: skip
+@click.option("--key", envvar="MAGCAL_KEY", help="A key of that service with the scope read (MAGCAL_KEY).")
+def command(source: str, output: Path, residuals: Path | None, pdf: bool, url: str, key: str | None) -> None:
+    """Write the report of a parameter set: one HTML file that needs nothing else, fit for a review.
+
+    RESULT.json is what `magcal calibrate --json` printed; give its residuals with --residuals, and the report has their
+    figures. PARAMETER_SET is the id of one in a service.
+    """
+    from app.report import print_pdf, render_report
+
+    if Path(source).is_file():
+        record, table = _of_files(Path(source), residuals)
+    elif IDENTIFIER.fullmatch(source):
+        record, table = _of_service(source, url, key)
+    else:
+        raise click.BadParameter(f"{source!r} is neither a file nor an id", param_hint="PARAMETER_SET|RESULT.json")
+    page = render_report(record, table, made_at=f"{datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC")
+    written = []
+    if output.suffix.lower() != ".pdf":
+        output.write_text(page, encoding="utf-8")
+        written.append(output)
+    if pdf or output.suffix.lower() == ".pdf":
+        target = output.with_suffix(".pdf")
+        print_pdf(page, target)
+        written.append(target)
+    for path in written:
+        click.echo(str(path))
+
+
+def _of_files(result: Path, residuals: Path | None) -> tuple[ParameterSetRecord, ResidualTable | None]:
+    from app.records import parse_parameter_set
+    from app.residual_files import read_residuals
+
+    record = parse_parameter_set(result.read_bytes())
+    if residuals is None:
+        return record, None
+    form = FORMATS.get(residuals.suffix.lower())
+    if form is None:
+        raise click.BadParameter(f"want a file that ends in one of {', '.join(FORMATS)}", param_hint="--residuals")
+    return record, read_residuals(residuals.read_bytes(), form)
+
+
+def _of_service(set_id: str, url: str, key: str | None) -> tuple[ParameterSetRecord, ResidualTable]:
+    import httpx2
+
+    from app.records import parse_parameter_set
+    from app.residual_files import read_residuals
+
+    if key is None:
+        raise click.UsageError("a service needs a key: --key or MAGCAL_KEY")
+    headers = {"Authorization": f"Bearer {key}"}
+    try:
+        with httpx2.Client(base_url=f"{url.rstrip('/')}/api/v1", headers=headers, timeout=60.0) as service:
+            found = service.get(f"/parameter-sets/{set_id}")
+            table = service.get(f"/parameter-sets/{set_id}/residuals", params={"format": "parquet"})
+    except httpx2.TransportError as error:
+        raise click.ClickException(f"the service at {url} does not answer: {error}") from error
+    for answer in (found, table):
+        if answer.is_error:
+            raise NotFoundError(f"the service at {url} answered {answer.status_code} for parameter set {set_id}")
+    return parse_parameter_set(found.content), read_residuals(table.content, "parquet")
