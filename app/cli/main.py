@@ -17,8 +17,10 @@ COMMANDS: Final[dict[str, str]] = {
     "calibrate": "Calibrate telemetry files with no server: files in, parameter set out.",
     "simulate": "Simulate the telemetry of a tumbling satellite, with its truth beside it.",
     "push": "Send telemetry to a magcal service; safe to repeat.",
+    "report": "The report of a parameter set as one HTML file, or PDF.",
     "convert": "Convert parameters between conventions, loss-free.",
     "rom": "Simulate attitude control by magnetometer, gyros and wheels.",
+    "energy": "Balance the energy of an orbit, and recover gravity from it.",
     "keys": "Create, list and revoke API keys.",
     "db": "Look after the database: upgrade, current, audit, copy, rebuild.",
 }
