@@ -1,0 +1,128 @@
+"""Who asks, and whether they may: bearer keys and dashboard logins."""
+
+from __future__ import annotations
+
+import hmac
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Coroutine
+from datetime import datetime
+from threading import Lock
+from typing import Annotated, Final
+
+from fastapi import Depends, Request
+from fastapi.security import HTTPBearer
+from fastapi.security.utils import get_authorization_scheme_param
+from sqlalchemy.orm import Session
+
+from app.database import Database, utc_now
+from app.errors import ScopeRequiredError, TooManyFailuresError, UnauthorizedError
+from app.keys.repository import KEY_FORM, Caller, KeyRepository, Scope, secret_hash
+from app.keys.tables import ApiKey
+
+LOGIN_COOKIE: Final = "magcal_login"
+SAFE_METHODS: Final = frozenset({"GET", "HEAD", "OPTIONS"})
+DUMMY_HASH: Final = secret_hash("")
+WINDOW_S: Final = 60.0
+MOST_SUSPECTS: Final = 10_000
+
+bearer = HTTPBearer(auto_error=False, description="A key of `magcal keys create`: `mgc_<id>_<secret>`.")
+
+
+class FailureLimiter:
+    """Counts wrong keys per address and per key id over a minute; right keys are not counted."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._failures: OrderedDict[str, list[float]] = OrderedDict()
+        self._lock = Lock()
+
+    def check(self, *suspects: str) -> None:
+        """Raise `TooManyFailuresError` where a suspect has failed too often within the last minute."""
+        since = time.monotonic() - WINDOW_S
+        with self._lock:
+            for suspect in suspects:
+                recent = [at for at in self._failures.get(suspect, ()) if at > since]
+                if len(recent) >= self._most:
+                    raise TooManyFailuresError("too many wrong keys; wait a minute")
+
+    def note(self, *suspects: str) -> None:
+        """Count a failure of each suspect."""
+        now = time.monotonic()
+        with self._lock:
+            for suspect in suspects:
+                recent = [at for at in self._failures.pop(suspect, ()) if at > now - WINDOW_S]
+                self._failures[suspect] = [*recent, now][-self._most :]
+            while len(self._failures) > MOST_SUSPECTS:
+                self._failures.popitem(last=False)
+
+
+def verify_key(session: Session, key: str) -> ApiKey | None:
+    """Return the key's row where ``key`` is right and in force; takes the same time for every wrong one."""
+    form = KEY_FORM.fullmatch(key)
+    row = KeyRepository(session).find(form[1]) if form else None
+    kept = DUMMY_HASH if row is None else row.secret_sha256
+    given = secret_hash(form[2] if form else "no secret")
+    is_right = hmac.compare_digest(kept, given)
+    return row if row is not None and is_right and _is_in_force(row, utc_now()) else None
+
+
+def _is_in_force(row: ApiKey, now: datetime) -> bool:
+    return row.revoked_at is None and (row.expires_at is None or row.expires_at > now)
+
+
+def _verify_login(session: Session, request: Request) -> ApiKey | None:
+    """Return the key behind the login cookie; changes need the page's own origin, so that no other site can ask."""
+    token = request.cookies.get(LOGIN_COOKIE)
+    if token is None:
+        return None
+    if request.method not in SAFE_METHODS and request.headers.get("sec-fetch-site", "cross-site") != "same-origin":
+        return None
+    keys, now = KeyRepository(session), utc_now()
+    login = keys.find_login(token)
+    if login is None or login.expires_at <= now:
+        return None
+    row = keys.find(login.key_id)
+    return row if row is not None and _is_in_force(row, now) else None
+
+
+def authenticate(request: Request, _documented: Annotated[object, Depends(bearer)] = None) -> Caller:
+    """Return the caller that the request's key, or else its login cookie, stands for."""
+    database: Database = request.app.state.database
+    limiter: FailureLimiter = request.app.state.failures
+    scheme, key = get_authorization_scheme_param(request.headers.get("authorization"))
+    address = request.client.host if request.client else "unknown"
+    with database.read() as session:
+        if scheme.lower() == "bearer":
+            row = verify_key(session, key)
+        else:
+            row = None if scheme else _verify_login(session, request)
+    if row is None:
+        form = KEY_FORM.fullmatch(key)
+        suspects = [f"address {address}", *([f"key {form[1]}"] if form else [])]
+        if key:
+            limiter.check(*suspects)
+            limiter.note(*suspects)
+        raise UnauthorizedError
+    satellites = None if row.satellites is None else frozenset(row.satellites)
+    return Caller(row.id, frozenset(row.scopes), satellites, address, request.state.request_id)
+
+
+def require(*scopes: Scope) -> Callable[[Caller], Coroutine[None, None, Caller]]:
+    """Return a dependency that lets only keys with one of ``scopes`` pass."""
+    names = " or ".join(scopes)
+
+    async def check(caller: Annotated[Caller, Depends(authenticate)]) -> Caller:
+        if not caller.may(*scopes):
+            raise ScopeRequiredError(f"the key needs the scope {names}")
+        return caller
+
+    check.__dict__["scopes"] = scopes
+    return check
+
+
+Reader = Annotated[Caller, Depends(require(Scope.READ))]
+Station = Annotated[Caller, Depends(require(Scope.INGEST))]
+OrbitSource = Annotated[Caller, Depends(require(Scope.INGEST, Scope.OPERATE))]
+Operator = Annotated[Caller, Depends(require(Scope.OPERATE))]
+Administrator = Annotated[Caller, Depends(require(Scope.ADMIN))]

@@ -1,0 +1,186 @@
+"""The database: engines, transactions, and the column types that both databases share."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from datetime import UTC, datetime
+from typing import Final
+
+from sqlalchemy import (
+    JSON,
+    ColumnElement,
+    Connection,
+    DateTime,
+    Dialect,
+    Engine,
+    MetaData,
+    create_engine,
+    event,
+    make_url,
+)
+from sqlalchemy.dialects.postgresql import JSONB
+from sqlalchemy.engine.interfaces import DBAPIConnection
+from sqlalchemy.ext.compiler import compiles
+from sqlalchemy.orm import DeclarativeBase, Session
+from sqlalchemy.pool import ConnectionPoolEntry
+from sqlalchemy.sql.compiler import SQLCompiler
+from sqlalchemy.types import TypeDecorator
+
+from app.settings import Settings
+
+WRITES: Final = "magcal_writes"
+POOL_SIZE: Final = 32
+POSTGRES_OPTIONS: Final = (
+    "-c timezone=UTC -c synchronous_commit=on -c statement_timeout=60000 -c lock_timeout=5000 "
+    "-c idle_in_transaction_session_timeout=120000"
+)
+
+
+class UtcDateTime(TypeDecorator[datetime]):
+    """A zone-aware time in UTC on both databases; SQLite keeps it without its zone."""
+
+    impl = DateTime(timezone=True)
+    cache_ok = True
+
+    @property
+    def python_type(self) -> type[datetime]:
+        """What Python sees of it."""
+        return datetime
+
+    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+        """Return what goes to the driver."""
+        if value is None:
+            return None
+        if value.tzinfo is None:
+            raise ValueError("a time without a zone")
+        in_utc = value.astimezone(UTC)
+        return in_utc.replace(tzinfo=None) if dialect.name == "sqlite" else in_utc
+
+    def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+        """Return what came from the driver, in UTC."""
+        if value is None:
+            return None
+        return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
+
+
+class Base(DeclarativeBase):
+    """Base of every table; constraints have names, so that migrations can alter them."""
+
+    metadata = MetaData(
+        naming_convention={
+            "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+            "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+            "ck": "ck_%(table_name)s_%(constraint_name)s",
+            "fk": "fk_%(table_name)s_%(column_0_N_name)s",
+            "pk": "pk_%(table_name)s",
+        }
+    )
+    type_annotation_map = {datetime: UtcDateTime()}  # noqa: RUF012
+
+
+JsonColumn: Final = JSON(none_as_null=True).with_variant(JSONB(none_as_null=True), "postgresql")
+
+
+class DatabaseNow(ColumnElement[datetime]):
+    """The database's clock, moved by ``offset_s``; leases are told by it, never by a worker's clock."""
+
+    inherit_cache = False
+    type = UtcDateTime()
+
+    def __init__(self, offset_s: float = 0.0) -> None:
+        self.offset_s = float(offset_s)
+
+
+@compiles(DatabaseNow, "sqlite")
+def _now_sqlite(element: DatabaseNow, compiler: SQLCompiler, **_kw: object) -> str:
+    return f"strftime('%Y-%m-%d %H:%M:%f000', 'now', '{element.offset_s:+.3f} seconds')"
+
+
+@compiles(DatabaseNow, "postgresql")
+def _now_postgres(element: DatabaseNow, compiler: SQLCompiler, **_kw: object) -> str:
+    return f"(clock_timestamp() + make_interval(secs => {element.offset_s:.3f}))"
+
+
+class Database:
+    """One engine for reading and one for writing over the same pool.
+
+    On SQLite a writing transaction begins with ``BEGIN IMMEDIATE`` and the writers of a process queue for one lock,
+    so that they wait in line rather than in SQLite's polling.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.is_sqlite = not settings.is_postgres
+        self.engine = _sqlite_engine(settings) if self.is_sqlite else _postgres_engine(settings)
+        self._write_engine = self.engine.execution_options(**{WRITES: True})
+        self._writer = threading.Lock() if self.is_sqlite else nullcontext()
+
+    @contextmanager
+    def read(self) -> Iterator[Session]:
+        """Yield a session that only reads."""
+        with Session(self.engine, expire_on_commit=False) as session:
+            yield session
+
+    @contextmanager
+    def write(self) -> Iterator[Session]:
+        """Yield a session whose one transaction is committed at the end, or rolled back by an error."""
+        with self._writer, Session(self._write_engine, expire_on_commit=False) as session, session.begin():
+            yield session
+
+    def close(self) -> None:
+        """Close every connection of the pool."""
+        self.engine.dispose()
+
+
+def _postgres_engine(settings: Settings) -> Engine:
+    return create_engine(
+        settings.url,
+        pool_pre_ping=True,
+        pool_size=POOL_SIZE,
+        max_overflow=POOL_SIZE,
+        pool_timeout=5,
+        connect_args={"options": POSTGRES_OPTIONS, "connect_timeout": 5, "application_name": "magcal"},
+    )
+
+
+def _sqlite_engine(settings: Settings) -> Engine:
+    name = make_url(settings.url).database
+    if name and name != ":memory:":
+        settings.data_dir.mkdir(parents=True, exist_ok=True)
+    engine = create_engine(
+        settings.url, pool_size=POOL_SIZE, max_overflow=POOL_SIZE, connect_args={"check_same_thread": False}
+    )
+    event.listen(engine, "connect", _prepare_sqlite)
+    event.listen(engine, "begin", _begin_sqlite)
+    return engine
+
+
+def _prepare_sqlite(connection: DBAPIConnection, _entry: ConnectionPoolEntry) -> None:
+    connection.isolation_level = None  # the driver must not begin transactions of its own
+    cursor = connection.cursor()
+    for pragma in ("busy_timeout=5000", "journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
+        cursor.execute(f"PRAGMA {pragma}")
+    cursor.close()
+
+
+def _begin_sqlite(connection: Connection) -> None:
+    writes = connection.get_execution_options().get(WRITES, False)
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+
+
+def new_id() -> str:
+    """Return a new identifier, 32 hexadecimal digits (UUID version 7), later ones sorting behind earlier ones."""
+    stamp_ms = time.time_ns() // 1_000_000
+    noise = int.from_bytes(os.urandom(10))
+    value = (stamp_ms & (1 << 48) - 1) << 80 | noise
+    value = value & ~(0xF << 76) | 7 << 76
+    value = value & ~(0x3 << 62) | 0x2 << 62
+    return f"{value:032x}"
+
+
+def utc_now() -> datetime:
+    """Return this machine's time, for records; leases use the database's."""
+    return datetime.now(UTC)

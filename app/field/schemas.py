@@ -1,0 +1,38 @@
+"""Bodies of the reference field's call."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from app.schemas import Body, Record, UtcTime
+
+Position = Annotated[list[float], Field(min_length=3, max_length=3)]
+MOST_POINTS = 100_000
+
+
+class FieldRequest(Body):
+    """Where and when, and by which model."""
+
+    time: list[UtcTime] = Field(min_length=1, max_length=MOST_POINTS)
+    position_km: list[Position] = Field(min_length=1, max_length=MOST_POINTS)
+    frame: Literal["ITRF", "GCRF", "TEME"] = "ITRF"
+    model: str = Field("igrf", max_length=32)
+    max_degree: int | None = Field(None, ge=1, le=13)
+
+    @model_validator(mode="after")
+    def _same_length(self) -> Self:
+        if len(self.time) != len(self.position_km):
+            raise PydanticCustomError("length", "time and position_km have different lengths")
+        return self
+
+
+class FieldRead(Record):
+    """The reference field in the frame that was asked for."""
+
+    model: str
+    frame: str
+    field_nt: list[list[float]]
+    magnitude_nt: list[float]

@@ -1,0 +1,55 @@
+"""What runs in the child for a calibration: columnar chunks and orbits in, a record and a residual table out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.metadata import version
+
+import numpy as np
+
+from app.jobs.calibration import CalibrationWork
+from app.jobs.child import Outcome, Report
+from app.jobs.kind import WrongKindError
+from app.orbits.parsing import orbit_of
+from app.parameter_sets.residuals import residual_table, to_bytes
+from app.sessions.repository import samples_of
+from magcal_core.options import CalibrationOptions
+from magcal_core.pipeline import calibrate as run
+
+
+def calibrate(work: object, report: Report) -> Outcome:
+    """Return the parameter set and residual table of one calibration."""
+    if not isinstance(work, CalibrationWork):
+        raise WrongKindError("not a calibration")
+    orbits = [orbit_of(form, content) for _, form, content in work.orbits]
+    found = run(samples_of(work.columns), orbits, CalibrationOptions.from_dict(work.options), progress=report)
+    record = without_nan(found.to_dict())
+    if not isinstance(record, dict):
+        raise WrongKindError("a calibration's record is not a mapping")
+    _complete_provenance(record["provenance"], work)
+    return Outcome(record, {"residuals": to_bytes(residual_table(found.residuals))})
+
+
+def _complete_provenance(provenance: dict[str, object], work: CalibrationWork) -> None:
+    """Add to the provenance what only the service knows: the software, the inputs and the orbits' ids."""
+    provenance["software"] = {"name": "magcal-service", "version": version("magcal-service"), "numpy": np.__version__}
+    provenance["inputs"] = [dict(one) for one in work.inputs]
+    orbits = provenance.get("orbits")
+    for orbit in orbits if isinstance(orbits, list) else []:
+        orbit["id"] = work.orbits[orbit.pop("index")][0]
+
+
+def without_nan(value: object) -> object:
+    """Return a document with null in place of the numbers that JSON cannot say."""
+    if isinstance(value, float):
+        return value if abs(value) < float("inf") else None
+    if isinstance(value, Mapping):
+        return {key: without_nan(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [without_nan(one) for one in value]
+    return value
+
+
+def warm(_work: object, _report: Report) -> Outcome:
+    """Calibrate a made-up session, so that a new child has everything loaded and compiled."""
+    return Outcome({})

@@ -1,0 +1,135 @@
+"""The kind of job that calibrates: sessions and orbits in, a parameter set out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from typing import Final
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from app.database import new_id, utc_now
+from app.errors import ConflictError
+from app.jobs.child import Outcome
+from app.jobs.kind import Admission, WrongKindError
+from app.jobs.schemas import CalibrationBody, JobBody
+from app.jobs.tables import Job, JobSession
+from app.keys.repository import SYSTEM, Caller
+from app.orbits.choice import chosen
+from app.orbits.repository import OrbitRepository
+from app.orbits.tables import OrbitRow
+from app.parameter_sets.repository import ParameterSetRepository
+from app.parameter_sets.tables import ParameterSet
+from app.satellites.repository import SatelliteRepository
+from app.schemas import parse_utc
+from app.sessions.repository import SessionRepository, identity
+from app.sessions.tables import TelemetrySession
+from app.store import Store
+from magcal_core.errors import OptionError, OrbitMissingError, TleEpochError
+from magcal_core.options import CalibrationOptions
+
+POSITIONED: Final = frozenset({"ref_b", "ref_bx", "ref_eci_x", "x_km"})
+"""Columns that make an orbit unnecessary."""
+DEFAULT_AGE_DAYS: Final = 14.0
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationWork:
+    """What a calibration works on: columnar chunks, orbits as (id, format, content), options, and its inputs' names."""
+
+    columns: Sequence[bytes]
+    orbits: Sequence[tuple[str, str, str]]
+    options: Mapping[str, object]
+    inputs: Sequence[Mapping[str, object]]
+
+
+class CalibrationKind:
+    """Calibrates one magnetometer from one or more of its sessions."""
+
+    body: type[JobBody] = CalibrationBody
+    function = "app.jobs.calibrating:calibrate"
+    warm = "app.jobs.calibrating:warm"
+
+    def admit(self, session: Session, caller: Caller, body: JobBody) -> Admission:
+        """Return what ``body`` asks for: its sessions must be there, of one magnetometer, and its options sound."""
+        if not isinstance(body, CalibrationBody):
+            raise WrongKindError("not a calibration")
+        session_ids = sorted(set(body.session_ids))
+        rows = [SessionRepository(session, caller).get(one) for one in session_ids]
+        places = {(row.satellite_id, row.magnetometer_id) for row in rows}
+        if len(places) != 1:
+            raise OptionError("the sessions are not of one magnetometer")
+        if not all(row.samples for row in rows):
+            raise ConflictError("a session has no samples yet")
+        satellite_id, magnetometer_id = places.pop()
+        magnetometer = SatelliteRepository(session, caller).magnetometer(satellite_id, magnetometer_id)
+        options = CalibrationOptions.from_dict({"noise_nt": magnetometer.noise_nt} | body.options).to_dict()
+        lock = f"{satellite_id}/{magnetometer_id}"
+        return Admission(options, satellite_id, magnetometer_id, session_ids, lock)
+
+    def check(self, session: Session, admission: Admission) -> None:
+        """Raise `OrbitMissingError` or `TleEpochError` where a session needs an orbit and none may serve it."""
+        limit_days = _limit_days(admission.request)
+        orbits = OrbitRepository(session, SYSTEM, str(admission.satellite_id))
+        for session_id in admission.session_ids:
+            row = session.get_one(TelemetrySession, session_id)
+            if POSITIONED & set(row.columns) or row.data_from is None or row.data_until is None:
+                continue
+            best = chosen(orbits.around(row.data_from, row.data_until, 0.0), row.data_from)
+            if best is None:
+                raise OrbitMissingError("the telemetry has no reference and no position, and the satellite no orbit")
+            _check_age(best, row.data_from, row.data_until, limit_days)
+
+    def load(self, session: Session, store: Store, job: Job) -> CalibrationWork:
+        """Return the chunks, the orbits near them and the options of ``job``."""
+        links = select(JobSession.session_id).where(JobSession.job_id == job.id).order_by(JobSession.session_id)
+        sessions = SessionRepository(session, SYSTEM)
+        rows = [sessions.get(one) for one in session.scalars(links)]
+        columns = [chunk for row in rows for chunk in sessions.columns(row.id, store)]
+        begin = min(row.data_from for row in rows if row.data_from is not None)
+        end = max(row.data_until for row in rows if row.data_until is not None)
+        orbits = OrbitRepository(session, SYSTEM, str(job.satellite_id))
+        near = orbits.around(begin, end, _limit_days(job.request))
+        return CalibrationWork(
+            columns=columns,
+            orbits=[(row.id, row.format, row.content) for row in near],
+            options=job.request,
+            inputs=[{"session_id": row.id, "sha256": identity(sessions.chunks(row.id))} for row in rows],
+        )
+
+    def keep(self, session: Session, store: Store, job: Job, found: Outcome) -> dict[str, object]:
+        """Keep the parameter set that was found."""
+        record = found.record
+        links = select(JobSession.session_id).where(JobSession.job_id == job.id)
+        verdict = record["verdict"]
+        row = ParameterSet(
+            id=new_id(),
+            satellite_id=job.satellite_id,
+            magnetometer_id=job.magnetometer_id,
+            job_id=job.id,
+            status="candidate",
+            grade=verdict["grade"] if isinstance(verdict, dict) else "refuse",
+            method=record["method"],
+            data_from=parse_utc(record["data_from"]),
+            data_until=parse_utc(record["data_until"]),
+            record=record,
+            created_at=utc_now(),
+        )
+        sets = ParameterSetRepository(session, SYSTEM)
+        sets.add(row, list(session.scalars(links)), found.blobs["residuals"], store)
+        return {"parameter_set_id": row.id}
+
+
+def _limit_days(options: Mapping[str, object]) -> float:
+    limit = options.get("max_orbit_age_days")
+    return float(limit) if isinstance(limit, int | float) else DEFAULT_AGE_DAYS
+
+
+def _check_age(row: OrbitRow, begin: datetime, end: datetime, limit_days: float) -> None:
+    if row.valid_from is not None and row.valid_until is not None and row.valid_from <= end:
+        return
+    age = max(begin - row.epoch, row.epoch - end, timedelta(0)) / timedelta(days=1)
+    if age > limit_days:
+        raise TleEpochError(f"the orbit's epoch is {age:.1f} d from the telemetry; limit {limit_days:g} d")

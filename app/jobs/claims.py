@@ -1,0 +1,176 @@
+"""How an attempt takes, holds and ends a job: every statement is fenced by the attempt's number.
+
+Times are the database's own. A lease that ran out means that its worker is lost; the next claim takes the job over
+and counts the loss, and a job that lost too many workers is dead.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from sqlalchemy import ColumnElement, and_, case, exists, or_, select, update
+from sqlalchemy.orm import Session, aliased
+
+from app.database import DatabaseNow
+from app.errors import Problem, ServiceError, problem
+from app.jobs.tables import Job
+
+DEAD: Final = "dead"
+
+
+class LostClaimError(ServiceError):
+    """Another attempt holds the job, or it has ended: this attempt's result must be rolled back."""
+
+    code = "lost_claim"
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """The right of one attempt to work on one job."""
+
+    job_id: str
+    attempt: int
+    kind: str
+
+
+@dataclass(frozen=True, slots=True)
+class Renewal:
+    """What a heartbeat learns: whether the claim still holds, and whether the job is to be cancelled."""
+
+    is_held: bool
+    is_cancelled: bool
+
+
+def is_work_waiting(session: Session) -> bool:
+    """Return whether a job waits or has lost its worker; a look that takes no lock."""
+    return session.scalar(select(Job.id).where(_is_free()).limit(1)) is not None
+
+
+def claim_next(session: Session, worker: str, lease_s: float, most_lost: int) -> Claim | None:
+    """Return a claim on the first job that waits or whose worker is lost, if there is one."""
+    bury_lost(session, most_lost)
+    other = aliased(Job)
+    is_locked = exists().where(other.lock == Job.lock, other.id != Job.id, _is_alive(other))
+    first = (
+        select(Job.id)
+        .where(_is_free(), or_(Job.lock.is_(None), ~is_locked))
+        .order_by(Job.priority.desc(), Job.id)
+        .limit(1)
+        .scalar_subquery()
+    )
+    return _claim(session, Job.id == first, worker, lease_s)
+
+
+def claim_one(session: Session, job_id: str, worker: str, lease_s: float, most_lost: int) -> Claim | None:
+    """Return a claim on the job ``job_id``, unless it has ended or another attempt holds it."""
+    bury_lost(session, most_lost)
+    return _claim(session, and_(Job.id == job_id, _is_free()), worker, lease_s)
+
+
+def _is_free() -> ColumnElement[bool]:
+    return or_(Job.state == "queued", and_(Job.state == "running", Job.lease_until < DatabaseNow()))
+
+
+def _is_alive(job: type[Job]) -> ColumnElement[bool]:
+    return and_(job.state == "running", job.lease_until >= DatabaseNow())
+
+
+def _claim(session: Session, which: ColumnElement[bool], worker: str, lease_s: float) -> Claim | None:
+    row = session.execute(
+        update(Job)
+        .where(which)
+        .values(
+            state="running",
+            attempts=Job.attempts + 1,
+            lost_attempts=Job.lost_attempts + case((Job.state == "running", 1), else_=0),
+            lease_until=DatabaseNow(lease_s),
+            started_at=DatabaseNow(),
+            worker=worker,
+            progress=0.0,
+        )
+        .returning(Job.id, Job.attempts, Job.kind)
+        .execution_options(synchronize_session=False)
+    ).first()
+    return None if row is None else Claim(*row)
+
+
+def bury_lost(session: Session, most_lost: int) -> int:
+    """Return how many jobs end here: those that lost their last worker, and those lost while being cancelled."""
+    lost = and_(Job.state == "running", Job.lease_until < DatabaseNow())
+    cancelled = _end(session, and_(lost, Job.cancel_requested), "cancelled", None, None)
+    why = problem(500, DEAD, f"the job lost its worker {most_lost} times; the last attempt gave no sign of life")
+    dead = _end(session, and_(lost, Job.lost_attempts + 1 >= most_lost), "failed", why, None)
+    return cancelled + dead
+
+
+def renew(session: Session, claim: Claim, lease_s: float, progress: float) -> Renewal:
+    """Prolong the lease of ``claim`` and note the job's progress."""
+    cancelled = session.execute(
+        update(Job)
+        .where(_holds(claim))
+        .values(lease_until=DatabaseNow(lease_s), progress=progress)
+        .returning(Job.cancel_requested)
+        .execution_options(synchronize_session=False)
+    ).scalar()
+    return Renewal(cancelled is not None, bool(cancelled))
+
+
+def is_cancelled(session: Session, claim: Claim) -> bool:
+    """Return whether the job is to be cancelled, or is no longer the claim's."""
+    wanted = session.execute(select(Job.cancel_requested).where(_holds(claim))).scalar()
+    return wanted is None or wanted
+
+
+def finish(
+    session: Session,
+    claim: Claim,
+    state: str,
+    error: Problem | None = None,
+    result: dict[str, object] | None = None,
+) -> None:
+    """End the job in the session's transaction, which holds the result too.
+
+    Raises
+    ------
+    LostClaimError
+        The claim no longer holds; the transaction must not be committed.
+    """
+    if not _end(session, _holds(claim), state, error, result):
+        raise LostClaimError(f"attempt {claim.attempt} no longer holds job {claim.job_id}")
+
+
+def hand_back(session: Session, claim: Claim, *, is_lost: bool) -> None:
+    """Let another attempt have the job; ``is_lost`` counts this one as lost."""
+    session.execute(
+        update(Job)
+        .where(_holds(claim))
+        .values(state="queued", lease_until=None, worker=None, lost_attempts=Job.lost_attempts + int(is_lost))
+        .execution_options(synchronize_session=False)
+    )
+
+
+def _holds(claim: Claim) -> ColumnElement[bool]:
+    return and_(Job.id == claim.job_id, Job.attempts == claim.attempt, Job.state == "running")
+
+
+def _end(
+    session: Session,
+    which: ColumnElement[bool],
+    state: str,
+    error: Problem | None,
+    result: dict[str, object] | None,
+) -> int:
+    values: dict[str, object] = {
+        "state": state,
+        "error": error,
+        "result": result,
+        "lease_until": None,
+        "finished_at": DatabaseNow(),
+    }
+    if state == "succeeded":
+        values["progress"] = 1.0
+    done = session.execute(
+        update(Job).where(which).values(values).returning(Job.id).execution_options(synchronize_session=False)
+    )
+    return len(done.all())

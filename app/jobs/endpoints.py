@@ -1,0 +1,85 @@
+"""HTTP of the queue."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from typing import Annotated, Final
+
+from fastapi import APIRouter, Depends, Query, Response
+from fastapi.sse import EventSourceResponse, ServerSentEvent
+from starlette.concurrency import run_in_threadpool
+
+from app.auth import Operator, Reader
+from app.body import StrictJsonRoute
+from app.jobs.kinds import JobRequest
+from app.jobs.repository import JobRepository
+from app.jobs.schemas import JobQuery, JobRead
+from app.keys.repository import Caller
+from app.resources import Config, Db, Jobs
+from app.schemas import Page
+
+router = APIRouter(route_class=StrictJsonRoute, prefix="/jobs", tags=["jobs"])
+
+LOOK_EVERY_S: Final = 0.2
+ENDED: Final = frozenset({"succeeded", "failed", "cancelled"})
+
+
+@router.post("", status_code=202)
+def create_job(body: JobRequest, caller: Operator, db: Db, config: Config, queue: Jobs, response: Response) -> JobRead:
+    """Queue a piece of work."""
+    with db.write() as session:
+        jobs = JobRepository(session, caller)
+        job = jobs.read([jobs.submit(body, queue, config.max_queued_jobs)])[0]
+    queue.announce()
+    response.headers["Location"] = f"/api/v1/jobs/{job.id}"
+    return job
+
+
+@router.get("")
+def list_jobs(query: Annotated[JobQuery, Query()], caller: Reader, db: Db) -> Page[JobRead]:
+    """List the jobs, the newest first."""
+    with db.read() as session:
+        jobs = JobRepository(session, caller)
+        rows, cursor = jobs.page(query)
+        return Page(items=jobs.read(rows), next=cursor)
+
+
+@router.get("/{job_id}")
+def get_job(job_id: str, caller: Reader, db: Db) -> JobRead:
+    """Show how a job stands."""
+    return _look(job_id, caller, db)
+
+
+def _look(job_id: str, caller: Caller, db: Db) -> JobRead:
+    with db.read() as session:
+        jobs = JobRepository(session, caller)
+        return jobs.read([jobs.get(job_id)])[0]
+
+
+def _known_job(job_id: str, caller: Reader, db: Db) -> JobRead:
+    return _look(job_id, caller, db)
+
+
+@router.get("/{job_id}/events", response_class=EventSourceResponse)
+async def follow_job(
+    first: Annotated[JobRead, Depends(_known_job)], caller: Reader, db: Db
+) -> AsyncIterator[ServerSentEvent]:
+    """Follow a job: one event a change, the last when it has ended."""
+    job, number = first, 0
+    while True:
+        yield ServerSentEvent(data=job.model_dump(mode="json"), event=job.state, id=str(number))
+        if job.state in ENDED:
+            return
+        before, number = job, number + 1
+        while job == before:
+            await asyncio.sleep(LOOK_EVERY_S)
+            job = await run_in_threadpool(_look, job.id, caller, db)
+
+
+@router.post("/{job_id}/cancel", status_code=202)
+def cancel_job(job_id: str, caller: Operator, db: Db) -> JobRead:
+    """Cancel a job: at once if it waits, within a second or so if it runs."""
+    with db.write() as session:
+        jobs = JobRepository(session, caller)
+        return jobs.read([jobs.cancel(job_id)])[0]

@@ -1,0 +1,25 @@
+"""Which queue goes with which database, and its life from start to stop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from app.database import Database
+from app.jobs.embedded import EmbeddedQueue, EmbeddedWorkers
+from app.jobs.port import Queue, Workers
+from app.settings import Settings
+from app.store import Store
+
+
+@dataclass(frozen=True, slots=True)
+class Engine:
+    """A queue, and the workers of this process if it has any."""
+
+    queue: Queue
+    workers: Workers | None
+
+
+def open_engine(database: Database, store: Store, settings: Settings, workers: int) -> Engine:
+    """Return the queue of the settings' database, with ``workers`` workers in this process."""
+    queue = EmbeddedQueue()
+    return Engine(queue, EmbeddedWorkers(database, store, settings, queue, workers) if workers else None)

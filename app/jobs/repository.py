@@ -1,0 +1,151 @@
+"""Jobs, as far as the caller's key reaches: queue, look at, cancel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from sqlalchemy import ColumnElement, func, or_, select, true, update
+from sqlalchemy.orm import Session
+
+from app.database import DatabaseNow, new_id, utc_now
+from app.errors import ConflictError, NotFoundError, QuotaError
+from app.jobs.kinds import JOB_KINDS
+from app.jobs.port import Queue
+from app.jobs.schemas import JobBody, JobQuery, JobRead
+from app.jobs.tables import Job, JobSession
+from app.keys.repository import Caller, record_event
+from app.paging import fetch_page
+
+
+class JobRepository:
+    """The jobs that a caller reaches: those of its satellites, and its own where they have none."""
+
+    def __init__(self, session: Session, caller: Caller) -> None:
+        self.session = session
+        self.caller = caller
+
+    def submit(self, body: JobBody, queue: Queue, most_queued: int | None = None) -> Job:
+        """Return the new job that ``body`` asks for, handed to ``queue`` in the session's transaction.
+
+        ``most_queued`` is the quota of a person's request; a policy's has none, and what would make its job fail is
+        left to show in the job.
+        """
+        kind = JOB_KINDS[body.kind]
+        admission = kind.admit(self.session, self.caller, body)
+        if most_queued is not None:
+            self._check_quota(most_queued)
+            kind.check(self.session, admission)
+        job = Job(
+            id=new_id(),
+            kind=body.kind,
+            state="queued",
+            priority=body.priority,
+            satellite_id=admission.satellite_id,
+            magnetometer_id=admission.magnetometer_id,
+            lock=admission.lock,
+            request=admission.request,
+            progress=0.0,
+            attempts=0,
+            lost_attempts=0,
+            cancel_requested=False,
+            created_at=utc_now(),
+            created_by=self.caller.key_id,
+        )
+        queue.enqueue(self.session, job)
+        self.session.flush()
+        self.session.add_all(JobSession(job_id=job.id, session_id=one) for one in admission.session_ids)
+        record_event(self.session, self.caller, f"job.{body.kind}", job.id, job.satellite_id)
+        return job
+
+    def _check_quota(self, most_queued: int) -> None:
+        waiting = select(func.count()).where(Job.created_by == self.caller.key_id, Job.state == "queued")
+        if (self.session.scalar(waiting) or 0) >= most_queued:
+            raise QuotaError(f"the key has {most_queued} jobs waiting, which is the limit")
+
+    def get(self, job_id: str) -> Job:
+        """Return the job ``job_id``."""
+        row = self.session.scalar(select(Job).where(Job.id == job_id, self._within_reach()))
+        if row is None:
+            raise NotFoundError("no such job")
+        return row
+
+    def page(self, query: JobQuery) -> tuple[list[Job], str | None]:
+        """Return a part of the jobs, the newest first."""
+        statement = select(Job).where(self._within_reach())
+        equal = {
+            Job.state: query.state,
+            Job.kind: query.kind,
+            Job.satellite_id: query.satellite,
+            Job.magnetometer_id: query.magnetometer,
+            Job.parent_id: query.parent,
+        }
+        for column, wanted in equal.items():
+            if wanted is not None:
+                statement = statement.where(column == wanted)
+        if query.session is not None:
+            of_session = select(JobSession.job_id).where(JobSession.session_id == query.session)
+            statement = statement.where(Job.id.in_(of_session))
+        return fetch_page(self.session, statement, (Job.id,), query)
+
+    def cancel(self, job_id: str) -> Job:
+        """Return the job ``job_id``, cancelled if it waited, about to be if it runs."""
+        job = self.get(job_id)
+        if job.state not in {"queued", "running"}:
+            raise ConflictError(f"the job has {job.state} already")
+        stopped = (
+            update(Job)
+            .where(Job.id == job_id, Job.state == "queued")
+            .values(state="cancelled", cancel_requested=True, finished_at=DatabaseNow())
+            .execution_options(synchronize_session=False)
+        )
+        asked = (
+            update(Job)
+            .where(Job.id == job_id, Job.state == "running")
+            .values(cancel_requested=True)
+            .execution_options(synchronize_session=False)
+        )
+        self.session.execute(stopped)
+        self.session.execute(asked)
+        record_event(self.session, self.caller, "job.cancel", job_id, job.satellite_id)
+        self.session.flush()
+        self.session.refresh(job)
+        return job
+
+    def read(self, jobs: Sequence[Job]) -> list[JobRead]:
+        """Return ``jobs`` as the service tells of them."""
+        sessions: dict[str, list[str]] = {job.id: [] for job in jobs}
+        links = select(JobSession).where(JobSession.job_id.in_(sessions)).order_by(JobSession.session_id)
+        for link in self.session.scalars(links):
+            sessions[link.job_id].append(link.session_id)
+        return [_read(job, sessions[job.id]) for job in jobs]
+
+    def _within_reach(self) -> ColumnElement[bool]:
+        if self.caller.satellites is None:
+            return true()
+        own = (Job.satellite_id.is_(None)) & (Job.created_by == self.caller.key_id)
+        return or_(Job.satellite_id.in_(sorted(self.caller.satellites)), own)
+
+
+def _read(job: Job, session_ids: list[str]) -> JobRead:
+    return JobRead.model_validate(
+        {
+            "id": job.id,
+            "kind": job.kind,
+            "state": job.state,
+            "progress": job.progress,
+            "attempts": job.attempts,
+            "priority": job.priority,
+            "satellite": job.satellite_id,
+            "magnetometer": job.magnetometer_id,
+            "session_ids": session_ids,
+            "parent_id": job.parent_id,
+            "options": job.request,
+            "error": job.error,
+            "result": job.result,
+            "cancel_requested": job.cancel_requested,
+            "created_at": job.created_at,
+            "created_by": job.created_by,
+            "started_at": job.started_at,
+            "finished_at": job.finished_at,
+        }
+    )

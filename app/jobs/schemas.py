@@ -1,0 +1,84 @@
+"""Bodies of the jobs' calls."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, JsonValue, StringConstraints
+
+from app.schemas import Body, PageQuery, Record, Slug, UtcTime
+
+Identifier = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{32}$")]
+JobState = Literal["queued", "running", "succeeded", "failed", "cancelled"]
+
+
+class CalibrationOptionsBody(Body):
+    """Options of a calibration; what is left out has the default of `magcal calibrate`."""
+
+    method: Literal["scalar", "scalar-hooke-jeeves", "vector", "vector-closed-form"] | None = None
+    orbit: Literal["sgp4", "numerical"] | None = None
+    field: str | None = Field(None, max_length=32)
+    field_max_degree: int | None = Field(None, ge=1, le=13)
+    time_offset: Literal["auto", "none", "estimate"] | None = None
+    time_drift: bool | None = None
+    regressors: list[str] | Literal["auto"] | None = None
+    robust: Literal["none", "huber", "soft_l1", "cauchy", "tukey"] | None = None
+    noise_model: Literal["none", "white"] | None = None
+    noise_nt: float | None = Field(None, gt=0, description="Unset: the magnetometer's.")
+    max_orbit_age_days: float | None = Field(None, ge=0, le=36525)
+    bootstrap: int | None = Field(None, ge=0, le=10_000)
+    seed: int | None = Field(None, ge=0)
+
+    @property
+    def options(self) -> dict[str, object]:
+        """The options that were given, under their names."""
+        names = set(CalibrationOptionsBody.model_fields)
+        return {name: value for name, value in self.model_dump(include=names).items() if value is not None}
+
+
+class JobBody(Body):
+    """What every kind of job takes."""
+
+    kind: str
+    priority: int = Field(0, ge=-100, le=100, description="The greater, the sooner.")
+
+
+class CalibrationBody(JobBody, CalibrationOptionsBody):
+    """Calibrate one magnetometer from one or more of its sessions."""
+
+    kind: Literal["calibration"]
+    session_ids: list[Identifier] = Field(min_length=1, max_length=1000)
+
+
+class JobRead(Record):
+    """A job as it stands."""
+
+    id: str
+    kind: str
+    state: JobState
+    progress: float
+    attempts: int
+    priority: int
+    satellite: str | None
+    magnetometer: str | None
+    session_ids: list[str]
+    parent_id: str | None
+    options: dict[str, JsonValue]
+    error: dict[str, JsonValue] | None
+    result: dict[str, JsonValue] | None
+    cancel_requested: bool
+    created_at: UtcTime
+    created_by: str | None
+    started_at: UtcTime | None
+    finished_at: UtcTime | None
+
+
+class JobQuery(PageQuery):
+    """Which jobs to list."""
+
+    state: JobState | None = None
+    kind: str | None = Field(None, max_length=32)
+    satellite: Slug | None = None
+    magnetometer: Slug | None = None
+    session: Identifier | None = None
+    parent: Identifier | None = None

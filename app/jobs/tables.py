@@ -1,0 +1,53 @@
+"""Tables of the queue: a job is a row, and only the attempt that holds it may finish it."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+from sqlalchemy import CheckConstraint, ForeignKey, Index, String
+from sqlalchemy.orm import Mapped, mapped_column
+
+from app.database import Base, JsonColumn
+
+
+class Job(Base):
+    """One piece of work."""
+
+    __tablename__ = "job"
+    __table_args__ = (
+        CheckConstraint("state IN ('queued', 'running', 'succeeded', 'failed', 'cancelled')", name="state"),
+        CheckConstraint("progress >= 0 AND progress <= 1", name="progress"),
+        Index(None, "state", "priority", "id"),
+        Index(None, "satellite_id", "id"),
+    )
+
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    kind: Mapped[str] = mapped_column(String(32))
+    state: Mapped[str] = mapped_column(String(16))
+    priority: Mapped[int]
+    satellite_id: Mapped[str | None] = mapped_column(ForeignKey("satellite.id"))
+    magnetometer_id: Mapped[str | None] = mapped_column(String(63))
+    parent_id: Mapped[str | None] = mapped_column(ForeignKey("job.id"), index=True)
+    lock: Mapped[str | None] = mapped_column(String(130))
+    request: Mapped[dict[str, object]] = mapped_column(JsonColumn)
+    progress: Mapped[float]
+    attempts: Mapped[int]
+    lost_attempts: Mapped[int]
+    cancel_requested: Mapped[bool]
+    lease_until: Mapped[datetime | None]
+    worker: Mapped[str | None] = mapped_column(String(200))
+    error: Mapped[dict[str, object] | None] = mapped_column(JsonColumn)
+    result: Mapped[dict[str, object] | None] = mapped_column(JsonColumn)
+    created_at: Mapped[datetime]
+    created_by: Mapped[str | None] = mapped_column(String(32), index=True)
+    started_at: Mapped[datetime | None]
+    finished_at: Mapped[datetime | None]
+
+
+class JobSession(Base):
+    """Which sessions a job works on."""
+
+    __tablename__ = "job_session"
+
+    job_id: Mapped[str] = mapped_column(ForeignKey("job.id"), primary_key=True)
+    session_id: Mapped[str] = mapped_column(ForeignKey("session.id"), primary_key=True, index=True)

@@ -1,0 +1,162 @@
+"""Keys: make, find, revoke; and the audit trail."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import secrets
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from enum import StrEnum
+from typing import Final
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from app.database import new_id, utc_now
+from app.errors import NotFoundError
+from app.keys.tables import ApiKey, AuditEvent, Login
+from app.paging import fetch_page
+from app.schemas import PageQuery
+
+KEY_FORM: Final = re.compile(r"mgc_([0-9a-f]{16})_([A-Za-z0-9_-]{43})", re.ASCII)
+SECRET_BYTES: Final = 32
+LOGIN_LENGTH: Final = 43
+
+
+class Scope(StrEnum):
+    """What a key may do; ``admin`` includes the others, which do not include each other."""
+
+    READ = "read"
+    INGEST = "ingest"
+    OPERATE = "operate"
+    ADMIN = "admin"
+
+
+@dataclass(frozen=True, slots=True)
+class Caller:
+    """Who asks: a key's id, its scopes and the satellites that it is bound to (None: all)."""
+
+    key_id: str
+    scopes: frozenset[str]
+    satellites: frozenset[str] | None = None
+    address: str | None = None
+    request_id: str | None = None
+
+    def may(self, *scopes: Scope) -> bool:
+        """Return whether the key has one of ``scopes``."""
+        return Scope.ADMIN in self.scopes or any(scope in self.scopes for scope in scopes)
+
+    def reaches(self, satellite_id: str) -> bool:
+        """Return whether the key may know of a satellite."""
+        return self.satellites is None or satellite_id in self.satellites
+
+
+SYSTEM: Final = Caller("system", frozenset({Scope.ADMIN}))
+"""magcal itself: its workers and its command line."""
+
+
+@dataclass(frozen=True, slots=True)
+class NewKey:
+    """A key in the only moment in which it is known."""
+
+    row: ApiKey
+    key: str
+
+
+def secret_hash(secret: str) -> bytes:
+    """Return what is kept of a secret of 256 random bits."""
+    return hashlib.sha256(secret.encode("ascii")).digest()
+
+
+class KeyRepository:
+    """The keys of this service."""
+
+    def __init__(self, session: Session, caller: Caller = SYSTEM) -> None:
+        self.session = session
+        self.caller = caller
+
+    def create(
+        self,
+        scopes: Sequence[str],
+        satellites: Sequence[str] | None = None,
+        expires_at: datetime | None = None,
+        name: str | None = None,
+    ) -> NewKey:
+        """Return a new key; its secret is not kept."""
+        key_id, secret = secrets.token_hex(8), secrets.token_urlsafe(SECRET_BYTES)
+        row = ApiKey(
+            id=key_id,
+            name=name,
+            secret_sha256=secret_hash(secret),
+            scopes=sorted({str(scope) for scope in scopes}),
+            satellites=None if satellites is None else sorted(set(satellites)),
+            created_at=utc_now(),
+            created_by=self.caller.key_id,
+            expires_at=expires_at,
+        )
+        self.session.add(row)
+        record_event(self.session, self.caller, "key.create", key_id)
+        return NewKey(row, f"mgc_{key_id}_{secret}")
+
+    def revoke(self, key_id: str) -> ApiKey:
+        """Return the key ``key_id``, revoked from now on."""
+        row = self.session.get(ApiKey, key_id)
+        if row is None:
+            raise NotFoundError("no such key")
+        if row.revoked_at is None:
+            row.revoked_at = utc_now()
+            record_event(self.session, self.caller, "key.revoke", key_id)
+        return row
+
+    def page(self, query: PageQuery) -> tuple[list[ApiKey], str | None]:
+        """Return a part of the keys, the newest first."""
+        return fetch_page(self.session, select(ApiKey), (ApiKey.created_at, ApiKey.id), query)
+
+    def is_empty(self) -> bool:
+        """Return whether there has never been a key."""
+        return not self.session.scalar(select(func.count()).select_from(ApiKey))
+
+    def find(self, key_id: str) -> ApiKey | None:
+        """Return the key ``key_id``, if there is one."""
+        return self.session.get(ApiKey, key_id)
+
+    def open_login(self, key_id: str, hours: float) -> str:
+        """Return the token of a new dashboard login with the key ``key_id``."""
+        token = secrets.token_urlsafe(SECRET_BYTES)
+        now = utc_now()
+        login = Login(
+            token_sha256=secret_hash(token), key_id=key_id, created_at=now, expires_at=now + timedelta(hours=hours)
+        )
+        self.session.add(login)
+        record_event(self.session, self.caller, "login", key_id)
+        return token
+
+    def close_login(self, token: str) -> None:
+        """Forget a dashboard login."""
+        login = self.find_login(token)
+        if login is not None:
+            self.session.delete(login)
+
+    def find_login(self, token: str) -> Login | None:
+        """Return the login that ``token`` stands for, if there is one."""
+        if len(token) != LOGIN_LENGTH or not token.isascii():
+            return None
+        return self.session.get(Login, secret_hash(token))
+
+
+def record_event(session: Session, caller: Caller, action: str, subject: str, satellite_id: str | None = None) -> None:
+    """Add one line to the audit trail, in the transaction of what it tells of."""
+    session.add(
+        AuditEvent(
+            id=new_id(),
+            at=utc_now(),
+            key_id=caller.key_id,
+            action=action,
+            subject=subject,
+            satellite_id=satellite_id,
+            address=caller.address,
+            request_id=caller.request_id,
+        )
+    )

@@ -1,0 +1,82 @@
+"""The application: its rooms, its middleware, and what it keeps from start to stop."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Final
+
+import structlog
+from fastapi import APIRouter, FastAPI
+from fastapi_offline import FastAPIOffline
+from starlette.concurrency import run_in_threadpool
+
+from app import health
+from app.auth import FailureLimiter
+from app.database import Database
+from app.errors import install_handlers
+from app.field import endpoints as field
+from app.jobs import endpoints as jobs
+from app.jobs.engine import Engine, open_engine
+from app.keys import endpoints as keys
+from app.logs import RequestLog
+from app.orbits import endpoints as orbits
+from app.parameter_sets import endpoints as parameter_sets
+from app.satellites import endpoints as satellites
+from app.security import SecurityHeaders
+from app.sessions import endpoints as sessions
+from app.sessions.idempotency import Running
+from app.sessions.upload import Admission, sweep_incoming
+from app.settings import Settings
+from app.store import open_store
+
+API: Final = "/api/v1"
+ROOMS: Final = (satellites, orbits, sessions, jobs, parameter_sets, field, keys)
+STOP_GRACE_S: Final = 20.0
+
+log = structlog.get_logger()
+
+
+def create_app(settings: Settings, *, workers: int) -> FastAPI:
+    """Return the application over a database that is up to date, with ``workers`` job workers in this process."""
+    app: FastAPI = FastAPIOffline(
+        title="magcal",
+        summary="In-flight magnetometer calibration.",
+        version="1",
+        redoc_url=None,
+        lifespan=_lifespan,
+    )
+    database, store = Database(settings), open_store(settings)
+    app.state.settings = settings
+    app.state.database = database
+    app.state.store = store
+    app.state.engine = open_engine(database, store, settings, workers)
+    app.state.queue = app.state.engine.queue
+    app.state.failures = FailureLimiter(settings.auth_failures_per_minute)
+    app.state.uploads = Admission(settings.max_uploads_at_once)
+    app.state.running = Running()
+    app.include_router(health.router)
+    api = APIRouter(prefix=API)
+    for room in ROOMS:
+        api.include_router(room.router)
+    app.include_router(api)
+    install_handlers(app)
+    app.add_middleware(SecurityHeaders)
+    app.add_middleware(RequestLog)
+    return app
+
+
+@asynccontextmanager
+async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    engine: Engine = app.state.engine
+    left = sweep_incoming(app.state.settings)
+    if left:
+        log.info("incoming_swept", files=left)
+    if engine.workers is not None:
+        engine.workers.start()
+    try:
+        yield
+    finally:
+        if engine.workers is not None:
+            await run_in_threadpool(engine.workers.stop, STOP_GRACE_S)
+        app.state.database.close()

@@ -1,0 +1,89 @@
+"""Bring a database to this version's schema; several processes may try at once, one does it."""
+
+from __future__ import annotations
+
+import fcntl
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+from alembic import command
+from alembic.config import Config
+from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
+from sqlalchemy import Connection, text
+
+import migrations
+from app.database import WRITES, Database
+from app.keys.repository import KeyRepository, Scope
+from app.settings import Settings
+
+LOCK: Final = 0x6D616763616C  # "magcal", for pg_advisory_lock
+
+
+def alembic_config(connection: Connection | None = None) -> Config:
+    """Return Alembic's configuration over ``connection``."""
+    config = Config()
+    config.set_main_option("script_location", str(Path(migrations.__file__).parent).replace("%", "%%"))
+    config.attributes["connection"] = connection
+    return config
+
+
+def head() -> str:
+    """Return the revision that this version of magcal needs."""
+    return ScriptDirectory.from_config(alembic_config()).get_current_head() or ""
+
+
+def current(database: Database) -> str | None:
+    """Return the revision of the database, None where it is empty."""
+    with database.engine.connect() as connection:
+        return MigrationContext.configure(connection).get_current_revision()
+
+
+@contextmanager
+def _alone(database: Database, settings: Settings) -> Iterator[None]:
+    """Hold the lock that lets one process alone set a database up."""
+    if not database.is_sqlite:
+        with database.engine.connect() as connection:
+            connection.execute(text("SELECT pg_advisory_lock(:lock)"), {"lock": LOCK})
+            connection.commit()
+            try:
+                yield
+            finally:
+                connection.execute(text("SELECT pg_advisory_unlock(:lock)"), {"lock": LOCK})
+                connection.commit()
+        return
+    settings.data_dir.mkdir(parents=True, exist_ok=True)
+    with (settings.data_dir / ".setup.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+def upgrade(database: Database, settings: Settings) -> None:
+    """Bring the database to this version's schema."""
+    with _alone(database, settings):
+        if current(database) == head():
+            return
+        migrate(database, "head")
+
+
+def migrate(database: Database, revision: str) -> None:
+    """Move the database up or down to ``revision``."""
+    with database.engine.execution_options(**{WRITES: True}).connect() as connection, connection.begin():
+        config = alembic_config(connection)
+        known = MigrationContext.configure(connection).get_current_revision()
+        script = ScriptDirectory.from_config(config)
+        goes_down = known is not None and revision != "head" and revision in _ancestors(script, known)
+        (command.downgrade if goes_down else command.upgrade)(config, revision)
+
+
+def _ancestors(script: ScriptDirectory, revision: str) -> set[str]:
+    return {"base", *(one.revision for one in script.iterate_revisions(revision, "base"))} - {revision}
+
+
+def make_first_key(database: Database, settings: Settings) -> str | None:
+    """Return a new admin key where the database has never had one, None where it has."""
+    with _alone(database, settings), database.write() as session:
+        keys = KeyRepository(session)
+        return keys.create([Scope.ADMIN], name="first").key if keys.is_empty() else None

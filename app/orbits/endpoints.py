@@ -1,0 +1,80 @@
+"""HTTP of orbits."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+from typing import Annotated, Final
+
+from fastapi import APIRouter, Query, Request, Response
+from starlette.concurrency import run_in_threadpool
+
+from app.auth import OrbitSource, Reader
+from app.body import StrictJsonRoute
+from app.keys.repository import Caller
+from app.orbits.choice import chosen
+from app.orbits.parsing import parse_message
+from app.orbits.repository import OrbitRepository
+from app.orbits.schemas import OrbitList, OrbitQuery, OrbitRead
+from app.orbits.tables import OrbitRow
+from app.resources import Config, Db
+from app.schemas import Page
+from app.sessions.upload import receive
+
+router = APIRouter(route_class=StrictJsonRoute, prefix="/satellites/{satellite_id}/orbits", tags=["orbits"])
+
+ORBIT_BODY: Final = {
+    "requestBody": {
+        "description": "TLE or 3LE, OMM, OEM, or a state vector.",
+        "required": True,
+        "content": {kind: {"schema": {}} for kind in ("text/plain", "application/json", "application/xml")},
+    }
+}
+
+
+def _read(row: OrbitRow, at: datetime | None = None) -> OrbitRead:
+    same = set(OrbitRead.model_fields) - {"satellite", "age_days"}
+    age_days = None if at is None else (at - row.epoch) / timedelta(days=1)
+    values = {name: getattr(row, name) for name in same}
+    return OrbitRead.model_validate(values | {"satellite": row.satellite_id, "age_days": age_days})
+
+
+@router.post(
+    "",
+    status_code=201,
+    openapi_extra=ORBIT_BODY,
+    responses={200: {"model": OrbitList, "description": "All of them were there already."}},
+)
+async def create_orbits(
+    satellite_id: str, request: Request, response: Response, caller: OrbitSource, db: Db, config: Config
+) -> OrbitList:
+    """Send the orbits of a satellite; those that are there already are not kept twice."""
+    await run_in_threadpool(_require, satellite_id, caller, db)
+    async with request.app.state.uploads.place():
+        upload = await receive(request, config)
+        orbits, is_any_new = await run_in_threadpool(_keep, satellite_id, upload.content, upload.media_type, caller, db)
+    response.status_code = 201 if is_any_new else 200
+    return orbits
+
+
+def _require(satellite_id: str, caller: Caller, db: Db) -> None:
+    with db.read() as session:
+        OrbitRepository(session, caller, satellite_id)
+
+
+def _keep(satellite_id: str, body: bytes, media_type: str, caller: Caller, db: Db) -> tuple[OrbitList, bool]:
+    parsed = parse_message(body, media_type)
+    with db.write() as session:
+        rows, is_any_new = OrbitRepository(session, caller, satellite_id).add(parsed)
+    return OrbitList(items=[_read(row) for row in rows]), is_any_new
+
+
+@router.get("")
+def list_orbits(satellite_id: str, query: Annotated[OrbitQuery, Query()], caller: Reader, db: Db) -> Page[OrbitRead]:
+    """List the orbits of a satellite, the newest epoch first; with `at`, the one that serves that time."""
+    with db.read() as session:
+        orbits = OrbitRepository(session, caller, satellite_id)
+        if query.at is None:
+            rows, cursor = orbits.page(query)
+            return Page(items=[_read(row) for row in rows], next=cursor)
+        row = chosen(orbits.around(query.at, query.at, 0.0), query.at)
+    return Page(items=[] if row is None else [_read(row, query.at)])

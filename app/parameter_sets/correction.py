@@ -1,0 +1,48 @@
+"""A parameter set at work: raw samples to corrected ones, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magcal_core.errors import Fault, TelemetryFormatError
+from magcal_core.samples import Floats, Samples
+from magcal_core.sensor import SensorModel
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """The sensor of a parameter set and how its bias follows the regressors, nT per unit."""
+
+    sensor: SensorModel
+    regressors: Mapping[str, Floats]
+
+    @classmethod
+    def of(cls, record: Mapping[str, object]) -> Correction:
+        """Return the correction that a parameter set's record describes."""
+        parameters = record["parameters"]
+        if not isinstance(parameters, dict):
+            raise TypeError("a parameter set without parameters")
+        bias, scale, angles = (np.array(parameters[name]) for name in ("bias_nt", "scale", "nonorthogonality_deg"))
+        regressors = {name: np.array(value) for name, value in parameters["regressors"].items()}
+        return cls(SensorModel(bias, scale, angles), regressors)
+
+    def apply(self, samples: Samples) -> Samples:
+        """Return ``samples`` with corrected readings in the base frame, nT."""
+        return replace(samples, h_nt=self.sensor.correct(samples.h_nt - self._drift_nt(samples)))
+
+    def unapply(self, samples: Samples) -> Samples:
+        """Return ``samples``, whose readings are corrected, with raw readings, nT."""
+        return replace(samples, h_nt=self.sensor.apply(samples.h_nt) + self._drift_nt(samples))
+
+    def _drift_nt(self, samples: Samples) -> Floats:
+        missing = [name for name in self.regressors if name not in samples.housekeeping]
+        if missing:
+            faults = [Fault(f"column {name}", "missing; the parameter set has it as a regressor") for name in missing]
+            raise TelemetryFormatError("the telemetry lacks a regressor of the parameter set", faults)
+        drift_nt = np.zeros_like(samples.h_nt)
+        for name, change_nt in self.regressors.items():
+            drift_nt += samples.housekeeping[name][:, None] * change_nt
+        return drift_nt

@@ -1,0 +1,143 @@
+"""HTTP of parameter sets."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Final
+
+from fastapi import APIRouter, Query, Request, Response
+from starlette.concurrency import run_in_threadpool
+
+from app.auth import Operator, Reader
+from app.body import StrictJsonRoute
+from app.keys.repository import Caller
+from app.parameter_sets.correction import Correction
+from app.parameter_sets.export import EXPORTERS, exported
+from app.parameter_sets.repository import ParameterSetRepository
+from app.parameter_sets.residuals import from_bytes
+from app.parameter_sets.schemas import (
+    ActivateBody,
+    ApplyQuery,
+    ExportQuery,
+    ParameterSetQuery,
+    ParameterSetRead,
+    TableQuery,
+)
+from app.parameter_sets.tables import ParameterSet
+from app.resources import Blobs, Config, Db
+from app.satellites.tables import Magnetometer
+from app.schemas import Page
+from app.sessions.endpoints import TABLES, TELEMETRY_BODY
+from app.sessions.reading import PLAIN, SensorReading
+from app.sessions.upload import Upload, receive
+from app.settings import Settings
+from app.store import residuals_key
+from app.tabular import table_response, wanted_format, write_table
+from magcal_core.samples import Samples
+from magcal_core.telemetry import MEDIA_TYPES, write_samples
+
+router = APIRouter(route_class=StrictJsonRoute, prefix="/parameter-sets", tags=["parameter sets"])
+
+EXPORTS: Final[dict[int | str, dict[str, Any]]] = {
+    200: {"content": {media_type: {} for media_type, _ in EXPORTERS.values()}}
+}
+
+
+@router.get("")
+def list_parameter_sets(query: Annotated[ParameterSetQuery, Query()], caller: Reader, db: Db) -> Page[ParameterSetRead]:
+    """List the parameter sets, the newest first; with `at`, those in force at that time."""
+    with db.read() as session:
+        sets = ParameterSetRepository(session, caller)
+        rows, cursor = sets.page(query)
+        return Page(items=sets.read(rows), next=cursor)
+
+
+@router.get("/{parameter_set_id}")
+def get_parameter_set(parameter_set_id: str, caller: Reader, db: Db) -> ParameterSetRead:
+    """Show a parameter set."""
+    with db.read() as session:
+        sets = ParameterSetRepository(session, caller)
+        return sets.read([sets.get(parameter_set_id)])[0]
+
+
+@router.get("/{parameter_set_id}/residuals", responses=TABLES)
+def get_residuals(
+    parameter_set_id: str,
+    query: Annotated[TableQuery, Query()],
+    request: Request,
+    caller: Reader,
+    db: Db,
+    store: Blobs,
+) -> Response:
+    """Give the residual of every sample as CSV, NDJSON, JSON columns or Parquet."""
+    form = wanted_format(request, query.format, "json")
+    with db.read() as session:
+        row = ParameterSetRepository(session, caller).get(parameter_set_id)
+        content = store.get(session, residuals_key(row.id), row.residuals_sha256)
+    return table_response(write_table(from_bytes(content), form), form, f"residuals-{parameter_set_id}")
+
+
+@router.get("/{parameter_set_id}/export", response_class=Response, responses=EXPORTS)
+def export_parameter_set(
+    parameter_set_id: str, query: Annotated[ExportQuery, Query()], caller: Reader, db: Db
+) -> Response:
+    """Write a parameter set for flight software."""
+    record = get_parameter_set(parameter_set_id, caller, db)
+    media_type, text = exported(record, query.convention, query.format)
+    return Response(text, media_type=media_type)
+
+
+@router.post("/{parameter_set_id}/activate")
+def activate_parameter_set(
+    parameter_set_id: str,
+    caller: Operator,
+    db: Db,
+    body: ActivateBody | None = None,
+    force: Annotated[bool, Query(description="Also where the verdict is `refuse`.")] = False,
+) -> ParameterSetRead:
+    """Put a parameter set in force for its magnetometer; the one before is retired."""
+    is_forced = force or (body is not None and body.force)
+    with db.write() as session:
+        sets = ParameterSetRepository(session, caller)
+        return sets.read([sets.activate(parameter_set_id, force=is_forced)])[0]
+
+
+@router.post("/{parameter_set_id}/rollback")
+def rollback_parameter_set(parameter_set_id: str, caller: Operator, db: Db) -> ParameterSetRead:
+    """Undo an activation: the parameter set that was in force before is so again."""
+    with db.write() as session:
+        sets = ParameterSetRepository(session, caller)
+        return sets.read([sets.rollback(parameter_set_id)])[0]
+
+
+@router.post("/{parameter_set_id}/apply", openapi_extra=TELEMETRY_BODY, responses=TABLES)
+async def apply_parameter_set(
+    parameter_set_id: str,
+    query: Annotated[ApplyQuery, Query()],
+    request: Request,
+    caller: Reader,
+    db: Db,
+    config: Config,
+) -> Response:
+    """Correct telemetry to nT in time order; `inverse=true` turns that back into raw readings in their own unit."""
+    row, sensor = await run_in_threadpool(_row_and_sensor, parameter_set_id, caller, db)
+    async with request.app.state.uploads.place():
+        upload = await receive(request, config)
+        sent = MEDIA_TYPES.get(upload.media_type.partition(";")[0].strip().lower(), "csv")
+        form = wanted_format(request, query.format, sent)
+        samples = await run_in_threadpool(_applied, row, sensor, upload, config, inverse=query.inverse)
+        content = await run_in_threadpool(write_samples, samples, form)
+    return table_response(content, form, "corrected")
+
+
+def _row_and_sensor(parameter_set_id: str, caller: Caller, db: Db) -> tuple[ParameterSet, SensorReading]:
+    with db.read() as session:
+        row = ParameterSetRepository(session, caller).get(parameter_set_id)
+        sensor = session.get_one(Magnetometer, (row.satellite_id, row.magnetometer_id))
+        return row, SensorReading.of(sensor)
+
+
+def _applied(row: ParameterSet, sensor: SensorReading, upload: Upload, settings: Settings, *, inverse: bool) -> Samples:
+    correction = Correction.of(row.record)
+    if inverse:
+        return sensor.unread(correction.unapply(PLAIN.read(upload.content, upload.media_type, settings).samples))
+    return correction.apply(sensor.read(upload.content, upload.media_type, settings).samples)

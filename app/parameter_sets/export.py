@@ -1,0 +1,124 @@
+"""A parameter set written for flight software, in the convention that it wants."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping
+from typing import Final
+
+import yaml
+
+from app.parameter_sets.schemas import ParameterSetRead
+from app.schemas import utc_text
+from magcal_core.sensor import convert
+
+Document = Mapping[str, object]
+
+
+def exported(record: ParameterSetRead, convention: str, form: str) -> tuple[str, str]:
+    """Return the media type and the text of a parameter set in ``convention`` and in the format ``form``.
+
+    Raises
+    ------
+    OptionError
+        The convention is unknown.
+    """
+    parameters = convert(record.parameters.model_dump(), "exact", convention)
+    document = {
+        "id": record.id,
+        "satellite": record.satellite,
+        "magnetometer": record.magnetometer,
+        "created_at": utc_text(record.created_at),
+        "data_from": utc_text(record.data_from),
+        "data_until": utc_text(record.data_until),
+        "method": record.method,
+        "field_model": record.field_model,
+        "verdict": record.verdict.grade,
+        "convention": convention,
+        "parameters": parameters,
+        "correction_matrix": record.correction_matrix,
+    }
+    media_type, write = EXPORTERS[form]
+    return media_type, write(document)
+
+
+def _json(document: Document) -> str:
+    return json.dumps(document, indent=2, allow_nan=False) + "\n"
+
+
+def _yaml(document: Document) -> str:
+    text: str = yaml.safe_dump(dict(document), sort_keys=False, allow_unicode=True)
+    return text
+
+
+def _csv(document: Document) -> str:
+    """Return one line a number: name, value."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(["name", "value"])
+    writer.writerows(_leaves("", document))
+    return out.getvalue()
+
+
+def _leaves(name: str, value: object) -> Iterator[tuple[str, object]]:
+    if isinstance(value, Mapping):
+        for key, one in value.items():
+            yield from _leaves(f"{name}.{key}" if name else str(key), one)
+    elif isinstance(value, list):
+        for number, one in enumerate(value):
+            yield from _leaves(f"{name}[{number}]", one)
+    elif isinstance(value, float):
+        yield name, repr(value)
+    else:
+        yield name, "" if value is None else value
+
+
+def _c_header(document: Document) -> str:
+    guard = f"MAGCAL_{_macro(document['satellite'])}_{_macro(document['magnetometer'])}_H"
+    about = [f" * {name}: {document[name]}" for name in document if isinstance(document[name], str)]
+    parameters = document["parameters"]
+    arrays = dict(parameters) if isinstance(parameters, Mapping) else {}
+    arrays["correction_matrix"] = document["correction_matrix"]
+    lines = [
+        "/* magcal parameter set: corrected = correction_matrix * (raw - bias_nt), nT.",
+        *about,
+        " */",
+        f"#ifndef {guard}",
+        f"#define {guard}",
+        "",
+        *(line for name, value in arrays.items() for line in _c_constants(f"MAGCAL_{_macro(name)}", value)),
+        "",
+        f"#endif /* {guard} */",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _c_constants(name: str, value: object) -> Iterator[str]:
+    if isinstance(value, Mapping):
+        for key, one in value.items():
+            yield from _c_constants(f"{name}_{_macro(key)}", one)
+    elif isinstance(value, list):
+        sizes = f"[{len(value)}]" + (f"[{len(value[0])}]" if value and isinstance(value[0], list) else "")
+        yield f"static const double {name}{sizes} = {_c_list(value)};"
+    elif isinstance(value, float | int):
+        yield f"static const double {name} = {value!r};"
+
+
+def _c_list(value: object) -> str:
+    return "{" + ", ".join(map(_c_list, value)) + "}" if isinstance(value, list) else repr(value)
+
+
+def _macro(name: object) -> str:
+    return re.sub(r"[^A-Z0-9]", "_", str(name).upper())
+
+
+EXPORTERS: Final[Mapping[str, tuple[str, Callable[[Document], str]]]] = {
+    "json": ("application/json", _json),
+    "csv": ("text/csv; charset=utf-8", _csv),
+    "yaml": ("application/yaml", _yaml),
+    "c": ("text/x-c; charset=utf-8", _c_header),
+}
+"""Format -> media type and writer."""

@@ -1,0 +1,160 @@
+"""Parameter sets and what was in force, as far as the caller's key reaches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+
+from sqlalchemy import ColumnElement, or_, select
+from sqlalchemy.orm import Session
+
+from app.database import new_id, utc_now
+from app.errors import ConflictError, NotFoundError, RefusedVerdictError
+from app.keys.repository import Caller, record_event
+from app.paging import fetch_page
+from app.parameter_sets.schemas import ParameterSetQuery, ParameterSetRead
+from app.parameter_sets.tables import Activation, ParameterSet, ParameterSetSession
+from app.satellites.repository import within_reach
+from app.satellites.tables import Magnetometer
+from app.store import Store, residuals_key
+
+
+class ParameterSetRepository:
+    """The parameter sets that a caller reaches."""
+
+    def __init__(self, session: Session, caller: Caller) -> None:
+        self.session = session
+        self.caller = caller
+
+    def add(self, row: ParameterSet, session_ids: Sequence[str], residuals: bytes, store: Store) -> None:
+        """Keep a new parameter set with its residual table."""
+        row.residuals_sha256 = store.put(self.session, residuals_key(row.id), residuals)
+        self.session.add(row)
+        self.session.flush()
+        self.session.add_all(ParameterSetSession(parameter_set_id=row.id, session_id=one) for one in session_ids)
+
+    def get(self, parameter_set_id: str) -> ParameterSet:
+        """Return the parameter set ``parameter_set_id``."""
+        reached = within_reach(ParameterSet.satellite_id, self.caller)
+        row = self.session.scalar(select(ParameterSet).where(ParameterSet.id == parameter_set_id, reached))
+        if row is None:
+            raise NotFoundError("no such parameter set")
+        return row
+
+    def page(self, query: ParameterSetQuery) -> tuple[list[ParameterSet], str | None]:
+        """Return a part of the parameter sets, the newest first."""
+        statement = select(ParameterSet).where(within_reach(ParameterSet.satellite_id, self.caller))
+        equal = {
+            ParameterSet.satellite_id: query.satellite,
+            ParameterSet.magnetometer_id: query.magnetometer,
+            ParameterSet.job_id: query.job,
+            ParameterSet.status: query.status,
+            ParameterSet.method: query.method,
+            ParameterSet.grade: query.grade,
+        }
+        for column, wanted in equal.items():
+            if wanted is not None:
+                statement = statement.where(column == wanted)
+        if query.session is not None:
+            link = ParameterSetSession
+            of_session = select(link.parameter_set_id).where(link.session_id == query.session)
+            statement = statement.where(ParameterSet.id.in_(of_session))
+        if query.since is not None:
+            statement = statement.where(ParameterSet.data_until >= query.since)
+        if query.until is not None:
+            statement = statement.where(ParameterSet.data_from <= query.until)
+        if query.at is not None:
+            in_force = select(Activation.parameter_set_id).where(_in_force(query.at))
+            statement = statement.where(ParameterSet.id.in_(in_force))
+        return fetch_page(self.session, statement, (ParameterSet.id,), query)
+
+    def session_ids(self, rows: Sequence[ParameterSet]) -> dict[str, list[str]]:
+        """Return the sessions of each parameter set."""
+        found: dict[str, list[str]] = {row.id: [] for row in rows}
+        link = ParameterSetSession
+        links = select(link).where(link.parameter_set_id.in_(found)).order_by(link.session_id)
+        for one in self.session.scalars(links):
+            found[one.parameter_set_id].append(one.session_id)
+        return found
+
+    def read(self, rows: Sequence[ParameterSet]) -> list[ParameterSetRead]:
+        """Return ``rows`` as the service tells of them."""
+        sessions = self.session_ids(rows)
+        return [
+            ParameterSetRead.model_validate(
+                row.record
+                | {
+                    "id": row.id,
+                    "satellite": row.satellite_id,
+                    "magnetometer": row.magnetometer_id,
+                    "session_ids": sessions[row.id],
+                    "job_id": row.job_id,
+                    "status": row.status,
+                    "created_at": row.created_at,
+                }
+            )
+            for row in rows
+        ]
+
+    def activate(self, parameter_set_id: str, *, force: bool) -> ParameterSet:
+        """Return the parameter set, now the active one of its magnetometer; the one before is retired."""
+        row = self.get(parameter_set_id)
+        if row.status == "active":
+            return row
+        if row.grade == "refuse" and not force:
+            raise RefusedVerdictError("the verdict is refuse; send force=true to put it in force all the same")
+        current = self._current(row)
+        self._replace(current, row, None if current is None else current.id)
+        record_event(self.session, self.caller, "parameter_set.activate", row.id, row.satellite_id)
+        return row
+
+    def rollback(self, parameter_set_id: str) -> ParameterSet:
+        """Return the parameter set, no longer active; the one that it had replaced, if any, is active again."""
+        row = self.get(parameter_set_id)
+        current = self._current(row)
+        if current is None or current.parameter_set_id != row.id:
+            raise ConflictError("only the active parameter set can be rolled back")
+        replaced = None if current.previous_id is None else self.session.get_one(Activation, current.previous_id)
+        if replaced is None:
+            self._replace(current, None, None)
+        else:
+            before = self.session.get_one(ParameterSet, replaced.parameter_set_id)
+            self._replace(current, before, replaced.previous_id)
+        record_event(self.session, self.caller, "parameter_set.rollback", row.id, row.satellite_id)
+        return row
+
+    def _current(self, row: ParameterSet) -> Activation | None:
+        """Return the activation in force, with the magnetometer locked so that it stays so."""
+        self.session.get_one(Magnetometer, (row.satellite_id, row.magnetometer_id), with_for_update=True)
+        return self.session.scalar(
+            select(Activation).where(
+                Activation.satellite_id == row.satellite_id,
+                Activation.magnetometer_id == row.magnetometer_id,
+                Activation.ended_at.is_(None),
+            )
+        )
+
+    def _replace(self, current: Activation | None, row: ParameterSet | None, previous_id: str | None) -> None:
+        now = utc_now()
+        if current is not None:
+            current.ended_at = now
+            self.session.get_one(ParameterSet, current.parameter_set_id).status = "retired"
+            self.session.flush()
+        if row is not None:
+            row.status = "active"
+            self.session.add(
+                Activation(
+                    id=new_id(),
+                    satellite_id=row.satellite_id,
+                    magnetometer_id=row.magnetometer_id,
+                    parameter_set_id=row.id,
+                    previous_id=previous_id,
+                    begun_at=now,
+                    begun_by=self.caller.key_id,
+                )
+            )
+            self.session.flush()
+
+
+def _in_force(at: datetime) -> ColumnElement[bool]:
+    return (Activation.begun_at <= at) & or_(Activation.ended_at.is_(None), Activation.ended_at > at)

@@ -1,0 +1,95 @@
+"""HTTP of satellites and magnetometers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Response
+
+from app.auth import Operator, Reader
+from app.body import StrictJsonRoute
+from app.resources import Db
+from app.satellites.repository import SatelliteRepository
+from app.satellites.schemas import MagnetometerCreate, MagnetometerRead, Policy, SatelliteCreate, SatelliteRead
+from app.satellites.tables import Magnetometer, Satellite
+from app.schemas import Page, PageQuery
+
+router = APIRouter(route_class=StrictJsonRoute, prefix="/satellites", tags=["satellites"])
+
+
+def _magnetometer(row: Magnetometer) -> MagnetometerRead:
+    return MagnetometerRead(
+        id=row.id,
+        satellite=row.satellite_id,
+        unit=row.unit,
+        noise_nt=row.noise_nt,
+        columns=row.columns,
+        axis_map=row.axis_map,
+        range_nt=row.range_nt,
+        policy=None if row.policy is None else Policy.model_validate(row.policy),
+        created_at=row.created_at,
+    )
+
+
+def _satellite(row: Satellite, magnetometers: Sequence[Magnetometer]) -> SatelliteRead:
+    return SatelliteRead(
+        id=row.id,
+        name=row.name,
+        norad_id=row.norad_id,
+        cospar_id=row.cospar_id,
+        retention_days=row.retention_days,
+        created_at=row.created_at,
+        magnetometers=[_magnetometer(one) for one in magnetometers],
+    )
+
+
+@router.post("", status_code=201)
+def create_satellite(body: SatelliteCreate, caller: Operator, db: Db, response: Response) -> SatelliteRead:
+    """Register a satellite."""
+    with db.write() as session:
+        row = SatelliteRepository(session, caller).create(body)
+    response.headers["Location"] = f"/api/v1/satellites/{row.id}"
+    return _satellite(row, [])
+
+
+@router.get("")
+def list_satellites(query: Annotated[PageQuery, Query()], caller: Reader, db: Db) -> Page[SatelliteRead]:
+    """List the satellites, the newest first."""
+    with db.read() as session:
+        satellites = SatelliteRepository(session, caller)
+        rows, cursor = satellites.page(query)
+        sensors = satellites.magnetometers([row.id for row in rows])
+    return Page(items=[_satellite(row, sensors[row.id]) for row in rows], next=cursor)
+
+
+@router.get("/{satellite_id}")
+def get_satellite(satellite_id: str, caller: Reader, db: Db) -> SatelliteRead:
+    """Show a satellite with its magnetometers."""
+    with db.read() as session:
+        satellites = SatelliteRepository(session, caller)
+        row = satellites.get(satellite_id)
+        return _satellite(row, satellites.magnetometers([row.id])[row.id])
+
+
+@router.post("/{satellite_id}/magnetometers", status_code=201)
+def create_magnetometer(satellite_id: str, body: MagnetometerCreate, caller: Operator, db: Db) -> MagnetometerRead:
+    """Register a magnetometer of a satellite."""
+    with db.write() as session:
+        return _magnetometer(SatelliteRepository(session, caller).add_magnetometer(satellite_id, body))
+
+
+@router.get("/{satellite_id}/magnetometers")
+def list_magnetometers(satellite_id: str, caller: Reader, db: Db) -> Page[MagnetometerRead]:
+    """List the magnetometers of a satellite."""
+    with db.read() as session:
+        satellites = SatelliteRepository(session, caller)
+        rows = satellites.magnetometers([satellites.get(satellite_id).id])[satellite_id]
+    return Page(items=[_magnetometer(row) for row in rows])
+
+
+@router.get("/{satellite_id}/magnetometers/{magnetometer_id}")
+def get_magnetometer(satellite_id: str, magnetometer_id: str, caller: Reader, db: Db) -> MagnetometerRead:
+    """Show one magnetometer of a satellite."""
+    with db.read() as session:
+        return _magnetometer(SatelliteRepository(session, caller).magnetometer(satellite_id, magnetometer_id))

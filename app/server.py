@@ -1,0 +1,57 @@
+"""A server process: database up to date, first key told, application served until it is asked to stop."""
+
+from __future__ import annotations
+
+import socket
+import sys
+
+import structlog
+import uvicorn
+
+from app.database import Database
+from app.logs import configure_logs
+from app.main import create_app
+from app.migrate import make_first_key, upgrade
+from app.settings import Settings
+
+log = structlog.get_logger()
+
+
+def prepare(settings: Settings) -> str | None:
+    """Bring the database up to date and return the first admin key where this made it."""
+    database = Database(settings)
+    try:
+        upgrade(database, settings)
+        return make_first_key(database, settings)
+    finally:
+        database.close()
+
+
+def server_of(settings: Settings) -> uvicorn.Server:
+    """Return the HTTP server of a prepared database, not yet listening."""
+    config = uvicorn.Config(
+        create_app(settings, workers=0 if settings.is_postgres else settings.workers),
+        host=settings.host,
+        port=settings.port,
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        date_header=True,
+        timeout_graceful_shutdown=30,
+        h11_max_incomplete_event_size=65536,
+    )
+    return uvicorn.Server(config)
+
+
+def serve(settings: Settings) -> None:
+    """Serve until SIGTERM or SIGINT, then let what is in flight end."""
+    configure_logs(settings)
+    key = prepare(settings)
+    if key is not None:
+        sys.stdout.write(f"admin key: {key}\n")
+        sys.stdout.flush()
+    server = server_of(settings)
+    listener = socket.create_server((settings.host, settings.port), backlog=2048)
+    host, port = listener.getsockname()[:2]
+    log.info("listening", url=f"http://{host}:{port}")
+    server.run(sockets=[listener])

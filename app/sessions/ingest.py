@@ -1,0 +1,142 @@
+"""From a body that has arrived whole to a session that is durable: read, kept, acknowledged, in that order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sqlalchemy.orm import Session
+
+from app.database import Database
+from app.jobs.port import Queue
+from app.jobs.repository import JobRepository
+from app.jobs.schemas import CalibrationBody
+from app.keys.repository import Caller
+from app.satellites.repository import SatelliteRepository
+from app.satellites.schemas import Policy
+from app.satellites.tables import Magnetometer
+from app.sessions.idempotency import fingerprint, recall, remember
+from app.sessions.reading import SensorReading, format_of
+from app.sessions.repository import Parsed, SessionRepository
+from app.sessions.schemas import UploadQuery
+from app.sessions.tables import TelemetrySession
+from app.sessions.upload import Upload
+from app.settings import Settings
+from app.store import Store
+from magcal_core.telemetry import format_of_bytes
+from magcal_core.telemetry.compression import decompress
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """What an upload became: its session, whether it is new, and the job that a policy queued."""
+
+    session: TelemetrySession
+    is_new: bool
+    job_id: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """What an upload asks for."""
+
+    satellite_id: str
+    query: UploadQuery
+    upload: Upload
+    key: str | None
+
+    @property
+    def fingerprint(self) -> str:
+        """What makes the same upload the same."""
+        where = (self.satellite_id, self.query.magnetometer, str(self.query.open))
+        return fingerprint("POST sessions", *where, self.upload.sha256)
+
+
+class Ingest:
+    """Keeps uploads for one caller."""
+
+    def __init__(self, database: Database, store: Store, queue: Queue, settings: Settings, caller: Caller) -> None:
+        self._database = database
+        self._store = store
+        self._queue = queue
+        self._settings = settings
+        self._caller = caller
+
+    def keep(self, satellite_id: str, query: UploadQuery, upload: Upload, key: str | None) -> Kept:
+        """Return the session of ``upload``, durable; the same bytes and the same key give the same session."""
+        asked = _Asked(satellite_id, query, upload, key)
+        with self._database.read() as session:
+            magnetometer = SatelliteRepository(session, self._caller).magnetometer(satellite_id, query.magnetometer)
+            found = self._find(session, asked)
+        if found is not None and key is None:
+            return Kept(found, is_new=False)
+        parsed = self._parsed(magnetometer, upload, may_be_empty=query.open) if found is None else None
+        with self._database.write() as session:
+            row = self._find(session, asked)
+            is_new, job_id = False, None
+            if row is None:
+                row, is_new = SessionRepository(session, self._caller).create(
+                    satellite_id, magnetometer.id, parsed, self._store, is_open=query.open
+                )
+                job_id = self._follow_policy(session, magnetometer, row) if is_new else None
+            remember(session, self._caller, key, asked.fingerprint, row.id)
+        if job_id is not None:
+            self._queue.announce()
+        return Kept(row, is_new, job_id)
+
+    def append(self, session_id: str, upload: Upload) -> TelemetrySession:
+        """Return the session ``session_id`` with a further chunk."""
+        with self._database.read() as session:
+            row = SessionRepository(session, self._caller).get(session_id)
+            magnetometer = SatelliteRepository(session, self._caller).magnetometer(
+                row.satellite_id, row.magnetometer_id
+            )
+        parsed = self._parsed(magnetometer, upload, may_be_empty=False)
+        with self._database.write() as session:
+            sessions = SessionRepository(session, self._caller)
+            row = sessions.get(session_id)
+            session.refresh(row, with_for_update=True)
+            if parsed is not None:
+                sessions.append(row, parsed, self._store)
+        return row
+
+    def close(self, session_id: str) -> Kept:
+        """Return the session ``session_id``, closed, and the job that its magnetometer's policy queues."""
+        with self._database.write() as session:
+            sessions = SessionRepository(session, self._caller)
+            row = sessions.get(session_id)
+            session.refresh(row, with_for_update=True)
+            is_open = row.state == "open"
+            sessions.close(row)
+            session.flush()
+            satellites = SatelliteRepository(session, self._caller)
+            magnetometer = satellites.magnetometer(row.satellite_id, row.magnetometer_id)
+            job_id = self._follow_policy(session, magnetometer, row) if is_open else None
+        if job_id is not None:
+            self._queue.announce()
+        return Kept(row, is_open, job_id)
+
+    def _find(self, session: Session, asked: _Asked) -> TelemetrySession | None:
+        made = recall(session, self._caller, asked.key, asked.fingerprint)
+        sessions = SessionRepository(session, self._caller)
+        if made is not None:
+            return sessions.get(made)
+        if asked.query.open:
+            return None
+        return sessions.find_content(asked.satellite_id, asked.query.magnetometer, asked.upload.sha256)
+
+    def _parsed(self, magnetometer: Magnetometer, upload: Upload, *, may_be_empty: bool) -> Parsed | None:
+        if may_be_empty and not upload.content:
+            return None
+        telemetry = SensorReading.of(magnetometer).read(upload.content, upload.media_type, self._settings)
+        form = format_of(upload.media_type) or format_of_bytes(decompress(upload.content))
+        return Parsed.of(upload, telemetry, form)
+
+    def _follow_policy(self, session: Session, magnetometer: Magnetometer, row: TelemetrySession) -> str | None:
+        if magnetometer.policy is None or row.state != "closed":
+            return None
+        policy = Policy.model_validate(magnetometer.policy)
+        if not policy.calibrate:
+            return None
+        wanted = {"kind": "calibration", "session_ids": [row.id], "priority": policy.priority, **policy.options}
+        body = CalibrationBody.model_validate(wanted)
+        return JobRepository(session, self._caller).submit(body, self._queue).id

@@ -1,0 +1,213 @@
+"""Sessions and their chunks, as far as the caller's key reaches."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+from sqlalchemy import func, select
+from sqlalchemy.dialects import postgresql, sqlite
+from sqlalchemy.orm import Session
+
+from app.database import new_id, utc_now
+from app.errors import ConflictError, NotFoundError
+from app.keys.repository import Caller, record_event
+from app.paging import fetch_page
+from app.satellites.repository import within_reach
+from app.sessions.columns import decode, encode
+from app.sessions.reading import column_names
+from app.sessions.schemas import SessionQuery
+from app.sessions.tables import Chunk, TelemetrySession
+from app.sessions.upload import Upload
+from app.store import Store, columns_key, raw_key
+from magcal_core.samples import Samples
+from magcal_core.telemetry import Telemetry, merge_samples
+
+
+@dataclass(frozen=True, slots=True)
+class Parsed:
+    """An upload with what was read from it: the telemetry, its columnar form and the name of its format."""
+
+    upload: Upload
+    telemetry: Telemetry
+    columns: bytes
+    format: str
+
+    @classmethod
+    def of(cls, upload: Upload, telemetry: Telemetry, form: str) -> Parsed:
+        """Return the upload with its samples, encoded."""
+        return cls(upload, telemetry, encode(telemetry.samples), form)
+
+
+class SessionRepository:
+    """The sessions that a caller reaches."""
+
+    def __init__(self, session: Session, caller: Caller) -> None:
+        self.session = session
+        self.caller = caller
+
+    def get(self, session_id: str) -> TelemetrySession:
+        """Return the session ``session_id``."""
+        reached = within_reach(TelemetrySession.satellite_id, self.caller)
+        row = self.session.scalar(select(TelemetrySession).where(TelemetrySession.id == session_id, reached))
+        if row is None:
+            raise NotFoundError("no such session")
+        return row
+
+    def page(self, query: SessionQuery) -> tuple[list[TelemetrySession], str | None]:
+        """Return a part of the sessions, the newest first."""
+        statement = select(TelemetrySession).where(within_reach(TelemetrySession.satellite_id, self.caller))
+        equal = {
+            TelemetrySession.satellite_id: query.satellite,
+            TelemetrySession.magnetometer_id: query.magnetometer,
+            TelemetrySession.state: query.state,
+            TelemetrySession.sha256: query.sha256,
+        }
+        for column, wanted in equal.items():
+            if wanted is not None:
+                statement = statement.where(column == wanted)
+        if query.since is not None:
+            statement = statement.where(TelemetrySession.data_until >= query.since)
+        if query.until is not None:
+            statement = statement.where(TelemetrySession.data_from <= query.until)
+        return fetch_page(self.session, statement, (TelemetrySession.id,), query)
+
+    def find_content(self, satellite_id: str, magnetometer_id: str, sha256: str) -> TelemetrySession | None:
+        """Return the session that these bytes are already, if there is one."""
+        return self.session.scalar(
+            select(TelemetrySession).where(
+                TelemetrySession.satellite_id == satellite_id,
+                TelemetrySession.magnetometer_id == magnetometer_id,
+                TelemetrySession.sha256 == sha256,
+            )
+        )
+
+    def create(
+        self, satellite_id: str, magnetometer_id: str, parsed: Parsed | None, store: Store, *, is_open: bool
+    ) -> tuple[TelemetrySession, bool]:
+        """Return the session of an upload, and whether it is new: of equal uploads, only one is."""
+        sha256 = None if parsed is None or is_open else parsed.upload.sha256
+        values: dict[str, object] = {
+            "id": new_id(),
+            "satellite_id": satellite_id,
+            "magnetometer_id": magnetometer_id,
+            "state": "open" if is_open else "closed",
+            "sha256": sha256,
+            "size_bytes": 0,
+            "samples": 0,
+            "used_samples": 0,
+            "columns": [],
+            "quality": {},
+            "created_at": utc_now(),
+            "created_by": self.caller.key_id,
+            "closed_at": None if is_open else utc_now(),
+        }
+        insert = postgresql.insert if self.session.get_bind().dialect.name == "postgresql" else sqlite.insert
+        made = insert(TelemetrySession).values(values).on_conflict_do_nothing().returning(TelemetrySession)
+        row = self.session.scalar(made)
+        if row is None:
+            found = self.find_content(satellite_id, magnetometer_id, sha256 or "")
+            if found is None:
+                raise ConflictError("the session was made and removed at the same time")
+            return found, False
+        if parsed is not None:
+            self._add_chunk(row, 0, parsed, store)
+        record_event(self.session, self.caller, "session.create", row.id, satellite_id)
+        return row, True
+
+    def append(self, row: TelemetrySession, parsed: Parsed, store: Store) -> None:
+        """Add a chunk to an open session; one that is there already changes nothing."""
+        chunks = self.chunks(row.id)
+        if any(chunk.sha256 == parsed.upload.sha256 for chunk in chunks):
+            return
+        if row.state != "open":
+            raise ConflictError("the session is closed")
+        self._add_chunk(row, len(chunks), parsed, store)
+
+    def close(self, row: TelemetrySession) -> None:
+        """Close an open session; its identity is then that of its chunks."""
+        if row.state == "closed":
+            return
+        chunks = self.chunks(row.id)
+        if not chunks:
+            raise ConflictError("the session has no samples")
+        sha256 = identity(chunks)
+        if self.find_content(row.satellite_id, row.magnetometer_id, sha256) is not None:
+            raise ConflictError("there is a session of the same chunks already")
+        row.sha256, row.state, row.closed_at = sha256, "closed", utc_now()
+        record_event(self.session, self.caller, "session.close", row.id, row.satellite_id)
+
+    def _add_chunk(self, row: TelemetrySession, sequence: int, parsed: Parsed, store: Store) -> None:
+        samples, quality = parsed.telemetry.samples, parsed.telemetry.quality
+        raw_sha256 = store.put(self.session, raw_key(row.satellite_id, parsed.upload.sha256), parsed.upload.content)
+        columns_sha256 = store.put(self.session, columns_key(row.id, sequence), parsed.columns)
+        self.session.add(
+            Chunk(
+                session_id=row.id,
+                sequence=sequence,
+                sha256=raw_sha256,
+                size_bytes=len(parsed.upload.content),
+                format=parsed.format,
+                media_type=parsed.upload.media_type[:200],
+                samples=len(samples),
+                columns_sha256=columns_sha256,
+                created_at=utc_now(),
+            )
+        )
+        first, last = _instant(samples.t_utc[0]), _instant(samples.t_utc[-1])
+        row.data_from = first if row.data_from is None else min(first, row.data_from)
+        row.data_until = last if row.data_until is None else max(last, row.data_until)
+        row.samples += len(samples)
+        row.used_samples += quality.used
+        row.size_bytes += len(parsed.upload.content)
+        row.columns = list(dict.fromkeys([*row.columns, *column_names(samples)]))
+        row.quality = quality.to_dict() if sequence == 0 else _summed(row.quality, quality.to_dict())
+        self.session.flush()
+
+    def chunks(self, session_id: str) -> Sequence[Chunk]:
+        """Return the chunks of a session in the order of their arrival."""
+        return self.session.scalars(select(Chunk).where(Chunk.session_id == session_id).order_by(Chunk.sequence)).all()
+
+    def columns(self, session_id: str, store: Store) -> list[bytes]:
+        """Return the columnar form of a session, chunk by chunk."""
+        return [
+            store.get(self.session, columns_key(session_id, chunk.sequence), chunk.columns_sha256)
+            for chunk in self.chunks(session_id)
+        ]
+
+    def count(self) -> int:
+        """Return how many sessions the caller reaches."""
+        reached = within_reach(TelemetrySession.satellite_id, self.caller)
+        return self.session.scalar(select(func.count()).select_from(TelemetrySession).where(reached)) or 0
+
+
+def samples_of(columns: Sequence[bytes]) -> Samples:
+    """Return the samples of chunks, in time order, repeated times flagged."""
+    return merge_samples([decode(chunk) for chunk in columns])
+
+
+def identity(chunks: Sequence[Chunk]) -> str:
+    """Return what a session's bytes are known by: their SHA-256, or that of the list of its chunks' SHA-256."""
+    if len(chunks) == 1:
+        return chunks[0].sha256
+    return hashlib.sha256("\n".join(chunk.sha256 for chunk in chunks).encode()).hexdigest()
+
+
+def _instant(t_utc: np.datetime64) -> datetime:
+    microseconds = int(t_utc.astype("datetime64[us]").astype(np.int64))
+    return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=microseconds)
+
+
+def _summed(before: dict[str, object], added: dict[str, object]) -> dict[str, object]:
+    """Return the counts of two quality reports added up; what cannot be added is left out."""
+    summed: dict[str, object] = {}
+    for name, value in before.items():
+        other = added.get(name)
+        if isinstance(value, int) and isinstance(other, int):
+            summed[name] = value + other
+        elif isinstance(value, dict) and isinstance(other, dict):
+            summed[name] = {key: value.get(key, 0) + other.get(key, 0) for key in (*value, *other)}
+    return summed

@@ -1,0 +1,76 @@
+"""Tables of telemetry: sessions, and the chunks of bytes that they came in."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+from sqlalchemy import (
+    BigInteger,
+    CheckConstraint,
+    ForeignKey,
+    ForeignKeyConstraint,
+    Index,
+    String,
+    UniqueConstraint,
+)
+from sqlalchemy.orm import Mapped, mapped_column
+
+from app.database import Base, JsonColumn
+
+
+class TelemetrySession(Base):
+    """Telemetry of one magnetometer: one upload, or an open session filled chunk by chunk."""
+
+    __tablename__ = "session"
+    __table_args__ = (
+        ForeignKeyConstraint(["satellite_id", "magnetometer_id"], ["magnetometer.satellite_id", "magnetometer.id"]),
+        UniqueConstraint("satellite_id", "magnetometer_id", "sha256"),
+        CheckConstraint("state IN ('open', 'closed')", name="state"),
+        Index(None, "satellite_id", "data_from"),
+    )
+
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    satellite_id: Mapped[str] = mapped_column(String(63))
+    magnetometer_id: Mapped[str] = mapped_column(String(63))
+    state: Mapped[str] = mapped_column(String(8))
+    sha256: Mapped[str | None] = mapped_column(String(64))
+    size_bytes: Mapped[int] = mapped_column(BigInteger)
+    samples: Mapped[int]
+    used_samples: Mapped[int]
+    data_from: Mapped[datetime | None]
+    data_until: Mapped[datetime | None]
+    columns: Mapped[list[str]] = mapped_column(JsonColumn)
+    quality: Mapped[dict[str, object]] = mapped_column(JsonColumn)
+    raw_removed_at: Mapped[datetime | None]
+    created_at: Mapped[datetime]
+    created_by: Mapped[str | None] = mapped_column(String(32))
+    closed_at: Mapped[datetime | None]
+
+
+class Chunk(Base):
+    """Bytes as they arrived, and their columnar form."""
+
+    __tablename__ = "chunk"
+    __table_args__ = (UniqueConstraint("session_id", "sha256"),)
+
+    session_id: Mapped[str] = mapped_column(ForeignKey("session.id"), primary_key=True)
+    sequence: Mapped[int] = mapped_column(primary_key=True)
+    sha256: Mapped[str] = mapped_column(String(64))
+    size_bytes: Mapped[int] = mapped_column(BigInteger)
+    format: Mapped[str] = mapped_column(String(16))
+    media_type: Mapped[str] = mapped_column(String(200))
+    samples: Mapped[int]
+    columns_sha256: Mapped[str] = mapped_column(String(64))
+    created_at: Mapped[datetime]
+
+
+class IdempotencyKey(Base):
+    """What was made by a request with an Idempotency-Key; each API key has its own."""
+
+    __tablename__ = "idempotency_key"
+
+    owner: Mapped[str] = mapped_column(String(32), primary_key=True)
+    key: Mapped[str] = mapped_column(String(200), primary_key=True)
+    fingerprint: Mapped[str] = mapped_column(String(64))
+    resource_id: Mapped[str] = mapped_column(String(32))
+    created_at: Mapped[datetime]
