@@ -63,19 +63,19 @@ def read_residuals(content: bytes, form: str) -> ResidualTable:
 
 def _table(content: bytes, form: str) -> pa.Table:
     if form == "parquet":
-        import pyarrow.parquet  # noqa: PLC0415
+        import pyarrow.parquet
 
         return pyarrow.parquet.read_table(io.BytesIO(content))
     if form == "csv":
-        import pyarrow.csv  # noqa: PLC0415
+        import pyarrow.csv
 
         return pyarrow.csv.read_csv(io.BytesIO(content))
     if form == "ndjson":
-        import pyarrow.json  # noqa: PLC0415
+        import pyarrow.json
 
         return pyarrow.json.read_json(io.BytesIO(content))
     if form == "json":
-        import json  # noqa: PLC0415
+        import json
 
         return pa.table(json.loads(content))
     raise TelemetryFormatError(f"a residual table is csv, ndjson, json or parquet, not {form}")

@@ -103,7 +103,7 @@ def make_figure(traces: Sequence[Trace], theme: Theme, layout: Layout) -> Figure
     -----
     plotly is imported here and nowhere else: it costs a tenth of a second that pages without a figure need not pay.
     """
-    import plotly.graph_objects as go  # noqa: PLC0415
+    import plotly.graph_objects as go
 
     base: Layout = {
         "template": {},
