@@ -125,9 +125,9 @@ def command(as_json: bool, series: Path | None, series_step_s: float, **spec: ob
 
     Angles in deg: psi about Y (up), theta about Z, gamma about X, from the orbital axes to the body's.
     """
-    from magcal_core.attitude.option_values import sensor_model  # noqa: PLC0415
-    from magcal_core.attitude.options import RomOptions  # noqa: PLC0415
-    from magcal_core.attitude.rom import simulate_rom  # noqa: PLC0415
+    from magcal_core.attitude.option_values import sensor_model
+    from magcal_core.attitude.options import RomOptions
+    from magcal_core.attitude.rom import simulate_rom
 
     for name in ("sensor", "corrected_with"):
         if spec[name] is not None:
@@ -147,9 +147,9 @@ def command(as_json: bool, series: Path | None, series_step_s: float, **spec: ob
 
 def _write_series(result: RomResult, path: Path, every: int) -> None:
     """Write every ``every``-th step as CSV."""
-    from numpy import rad2deg  # noqa: PLC0415
+    from numpy import rad2deg
 
-    from magcal_core.attitude.rotation import attitude_matrix, euler_angles  # noqa: PLC0415
+    from magcal_core.attitude.rotation import attitude_matrix, euler_angles
 
     axes = "xyz"
     with path.open("w", newline="", encoding="utf-8") as out:
@@ -165,8 +165,8 @@ def _write_series(result: RomResult, path: Path, every: int) -> None:
 
 def _print_table(options: RomOptions, result: RomResult) -> None:
     """Print the summary for people."""
-    from rich.console import Console  # noqa: PLC0415
-    from rich.table import Table  # noqa: PLC0415
+    from rich.console import Console
+    from rich.table import Table
 
     table = Table(title=f"ROM, {options.altitude_km:g} km, {options.inclination_deg:g} deg, {options.field}")
     table.add_column("figure")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
@@ -131,13 +132,14 @@ def _numbers(given: object, lengths: tuple[int, ...]) -> tuple[float, ...]:
 
 
 def _epoch(given: object) -> str:
-    """Return a UTC time in ISO 8601 with ``Z``."""
-    if not isinstance(given, str) or not given.endswith("Z"):
-        raise InputError("want a UTC time in ISO 8601 that ends in Z, such as 2020-01-01T00:00:00Z")
+    """Return a UTC time in ISO 8601 with ``Z`` from one with any zone."""
+    wanted = "want a time in ISO 8601 with a zone, such as 2020-01-01T00:00:00Z"
+    if not isinstance(given, str):
+        raise InputError(wanted)
     try:
-        time = np.datetime64(given.removesuffix("Z"), "us")
+        time = datetime.fromisoformat(given)
     except ValueError:
-        raise InputError("want a UTC time in ISO 8601, such as 2020-01-01T00:00:00Z") from None
-    if np.isnat(time):
-        raise InputError("not a time")
-    return f"{np.datetime_as_string(time, unit='us')}Z"
+        raise InputError(wanted) from None
+    if time.tzinfo is None:
+        raise InputError(wanted)
+    return time.astimezone(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")

@@ -42,6 +42,16 @@ def test_a_level_that_is_never_reached_is_null():
     assert json.loads(done.stdout)["settling_s"] == {"10": None, "5": None, "1": None}
 
 
+def test_every_option_of_the_contract_is_taken():
+    done = rom(
+        "--altitude-km", "600", "--inclination-deg", "97.7", "--start", "10,20,30", "--turn", "40,50,60",
+        "--field", "igrf", "--epoch", "2026-03-01T12:00:00Z", "--kp", "0.1", "--kd", "40", "--form", "printed",
+        "--duration", "200", "--json",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    assert set(json.loads(done.stdout)) >= KEYS
+
+
 def test_angles_may_begin_with_a_minus_sign():
     assert rom("--start", "-70,-50,-10", "--duration-s", "100", "--json").exit_code == 0
 

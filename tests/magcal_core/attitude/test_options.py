@@ -44,6 +44,7 @@ def test_a_whole_parameter_set_is_a_sensor():
         ({"guard": 1}, "guard"),
         ({"seed": 1.5}, "seed"),
         ({"epoch": "yesterday"}, "epoch"),
+        ({"epoch": "2020-01-01T00:00:00"}, "epoch"),
         ({"epoch": "2020-13-01T00:00:00Z"}, "epoch"),
         ({"field": "none"}, "scenario"),
         ({"field": 3}, "field"),
@@ -59,6 +60,12 @@ def test_what_cannot_be_is_refused_by_name(spec, where):
     with pytest.raises(OptionError) as caught:
         RomOptions.from_dict(spec)
     assert where in [fault.where for fault in caught.value.faults]
+
+
+def test_an_epoch_in_any_zone_is_the_same_instant():
+    options = RomOptions.from_dict({"epoch": "2026-03-01T15:00:00+03:00"})
+    assert options.epoch == "2026-03-01T12:00:00.000000Z"
+    assert options.orbit().epoch_utc == np.datetime64("2026-03-01T12:00:00")
 
 
 def test_every_fault_is_named_at_once():

@@ -175,6 +175,20 @@ def test_200_nt_of_model_error_cannot_be_the_papers_case(fly):
     assert 1.1e-3 * 0.95 < result.to_dict()["max_rate_error_deg_s"] < 1.2e-3 * 1.05
 
 
+def test_a_poorer_model_on_board_points_as_badly_as_the_models_differ(fly):
+    """The dipole for the IGRF: the body follows the model, whose direction is off by tens of degrees here and there."""
+    result = fly(**STEADY, field="igrf", onboard_field="dipole")
+    assert 5.0 < steady_arcmin(result) / 60.0 < 90.0
+
+
+def test_a_gyro_bias_turns_the_body_by_the_damping_over_the_gain(fly):
+    """kd b / 2 against kp phi / 2 across the field: phi = tau b, 0.04 deg for 1e-4 deg/s."""
+    small = fly(**STEADY, gyro_bias_deg_s=(1e-4, 0.0, 0.0))
+    large = fly(**STEADY, gyro_bias_deg_s=(2e-4, 0.0, 0.0))
+    assert steady_arcmin(small) / 60.0 > 0.5 * 400.0 * 1e-4
+    assert steady_arcmin(large) == pytest.approx(2.0 * steady_arcmin(small), rel=0.02)
+
+
 def test_a_scale_common_to_all_axes_cancels(fly):
     plain, scaled = fly(start=FIGURE_1), fly(start=FIGURE_1, common_scale=0.005)
     np.testing.assert_allclose(scaled.error_deg, plain.error_deg, atol=1e-9)
