@@ -53,7 +53,7 @@ def is_text(column: pa.ChunkedArray) -> bool:
 
 def iso_texts(column: pa.ChunkedArray) -> pa.ChunkedArray:
     """Return timestamps in ISO 8601 with Z: microseconds, or nanoseconds where one of them needs them."""
-    import pyarrow.compute as pc  # noqa: PLC0415 - loading it costs 80 ms, and only writers need it
+    import pyarrow.compute as pc
 
     plain = column.cast(pa.timestamp(column.type.unit))
     with contextlib.suppress(pa.ArrowInvalid):
@@ -64,7 +64,7 @@ def iso_texts(column: pa.ChunkedArray) -> pa.ChunkedArray:
 
 def json_cells(column: pa.ChunkedArray) -> pa.ChunkedArray:
     """Return the cells of a column as JSON writes them."""
-    import pyarrow.compute as pc  # noqa: PLC0415 - loading it costs 80 ms, and only writers need it
+    import pyarrow.compute as pc
 
     if pa.types.is_timestamp(column.type):
         quoted = pc.binary_join_element_wise('"', iso_texts(column), '"', "")

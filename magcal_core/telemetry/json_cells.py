@@ -13,7 +13,7 @@ import pyarrow as pa
 from magcal_core.errors import TelemetryFormatError, TelemetryValueError, TimeError
 from magcal_core.telemetry.columns import ColumnPlan
 from magcal_core.telemetry.faults import FaultList
-from magcal_core.telemetry.table import Floats, RawTable
+from magcal_core.telemetry.table import Floats, RawTable, floats_of
 from magcal_core.telemetry.times import Nanoseconds, epoch_ns, parse_times
 
 Cells = Sequence[object]
@@ -58,7 +58,7 @@ def _without_doubles(pairs: list[tuple[str, object]]) -> dict[str, object]:
 def has_infinite(table: pa.Table) -> bool:
     """Return whether a number in an Arrow table was too large for a double; JSON has no infinities of its own."""
     doubles = [column for column in table.columns if column.type == pa.float64()]
-    return any(bool(np.isinf(column.to_numpy()).any()) for column in doubles)
+    return any(bool(np.isinf(floats_of(column)).any()) for column in doubles)
 
 
 def to_raw_table(columns: Mapping[str, Cells], plan: ColumnPlan, *, row_word: str, table: str) -> RawTable:

@@ -95,7 +95,7 @@ def _read_slowly(text: bytes, columns: ColumnMap | None) -> RawTable:
 
 def write_ndjson(table: pa.Table) -> bytes:
     """Return a table of samples as NDJSON; an empty cell is null."""
-    import pyarrow.compute as pc  # noqa: PLC0415 - loading it costs 80 ms, and only writers need it
+    import pyarrow.compute as pc
 
     parts: list[object] = []
     for i, name in enumerate(table.column_names):

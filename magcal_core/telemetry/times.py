@@ -169,7 +169,7 @@ def to_utc_ns(t_ns: Nanoseconds, *, time_scale: str, is_epoch: bool) -> Nanoseco
         raise OptionError(f"unknown time scale {time_scale!r}; known are {', '.join(TIME_SCALES)}")
     if time_scale == "utc":
         return t_ns
-    import erfa  # noqa: PLC0415 - only GPS time needs the table of leap seconds
+    import erfa
 
     is_given = t_ns != NO_TIME
     gps_ns = t_ns[is_given] + (_GPS_EPOCH_NS if is_epoch else 0)
