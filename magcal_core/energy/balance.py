@@ -147,9 +147,9 @@ class EnergyBalance:
             "options": self.options.to_dict(),
         }
 
-    def columns(self) -> dict[str, Times | Floats]:
-        """Return the series as columns of a table: ``time`` (UTC), ``hamiltonian`` and every term, m2/s2."""
-        return {"time": self.t_utc, "hamiltonian": self.hamiltonian_m2_s2, **self.terms}
+    def columns(self) -> dict[str, Floats]:
+        """Return the series beside ``t_utc`` as columns of a table: ``hamiltonian`` and every term, m2/s2."""
+        return {"hamiltonian": self.hamiltonian_m2_s2, **self.terms}
 
 
 def integrated(

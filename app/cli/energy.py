@@ -1,0 +1,161 @@
+"""`magcal energy`: the energy balance of an orbit and the gravity that it gives, as the jobs compute them."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from app.cli.options import INPUT_FILE, OUTPUT_FILE, read_text, usage_error
+from magcal_core.errors import OptionError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from magcal_core.energy.balance import EnergyBalance
+    from magcal_core.energy.options import EnergyOptions
+    from magcal_core.orbit import Orbit
+
+FORMS = ("corrected", "printed", "static-tide", "no-correction", "frame-rate", "rotation-wrong-sign", "no-rotation",
+         "rotation-about-itrf-z", "rotation-about-gcrf-z", "dissipation-inertial")  # fmt: skip
+
+
+@click.command("energy")
+@click.option("--state", type=INPUT_FILE, help="State vector, JSON {epoch, frame, position_km, velocity_km_s}.")
+@click.option(
+    "--tle", type=INPUT_FILE, help="TLE; integrated from its state at the epoch, or with --orbit sgp4 as it is."
+)
+@click.option("--duration", "duration_s", type=float, default=86400.0, show_default=True, help="s.")
+@click.option("--step", "step_s", type=float, default=30.0, show_default=True, help="s.")
+@click.option("--orbit", type=click.Choice(["numerical", "sgp4"]), default="numerical", show_default=True)
+@click.option("--degree", type=int, default=12, show_default=True, help="Degree and order of EGM96, 0 to 36.")
+@click.option("--third-bodies/--no-third-bodies", default=True, show_default=True, help="Sun and Moon.")
+@click.option("--tide", is_flag=True, help="Solid tide, k2 = 0.30.")
+@click.option("--form", type=click.Choice(FORMS), default="corrected", show_default=True)
+@click.option("--recover", type=int, help="Recover C_nm, S_nm up to this degree.")
+@click.option("--method", type=click.Choice(["least-squares", "collocation", "semi-analytic"]),
+              default="least-squares", show_default=True, help="Of the recovery.")  # fmt: skip
+@click.option("--noise-position-m", type=float, default=0.0, help="White noise that the recovery sees, 1 sigma.")
+@click.option("--noise-velocity-m-s", type=float, default=0.0, help="White noise that the recovery sees, 1 sigma.")
+@click.option("--seed", type=int, default=0, help="Seed of the noise.")
+@click.option("--rotation", type=click.Choice(["iers", "uniform"]), default="iers", show_default=True,
+              help="The Earth as it turns, or the ideal one about a fixed axis.")  # fmt: skip
+@click.option("--drag-density-kg-m3", type=float, default=0.0, help="At the radius of the state; 0 for no drag.")
+@click.option("--drag-area-over-mass-m2-kg", type=float, default=0.0, help="Cd A / m.")
+@click.option("--drag-scale-height-km", type=float, default=65.0, show_default=True)
+@click.option("--series", type=OUTPUT_FILE, help="Write every term to this CSV file.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+def command(
+    state: Path | None,
+    tle: Path | None,
+    orbit: str,
+    series: Path | None,
+    as_json: bool,
+    **spec: float | bool | str | None,
+) -> None:
+    """Balance the energy along an orbit; recover gravity coefficients from it with --recover.
+
+    H = v^2/2 - w.(r x v) - U - int a.(v - w x r) dt - tidal work stays constant where frames, potential and
+    integrator agree: its standard deviation is the test. Exactly one of --state and --tle is wanted.
+    """
+    from magcal_core.energy.balance import energy_balance
+    from magcal_core.energy.options import EnergyOptions
+
+    given = [path for path in (state, tle) if path is not None]
+    if len(given) != 1:
+        raise click.UsageError(f"want exactly one of --state and --tle, not {len(given)}")
+    try:
+        options = EnergyOptions.from_dict(spec)
+    except OptionError as error:
+        raise usage_error(error) from error
+    source = _of_state(state, options) if state else _of_tle(given[0], orbit, options)
+    balance = energy_balance(source, options)
+    if series is not None:
+        _write_series(balance, series)
+    if as_json:
+        click.echo(json.dumps(balance.to_dict()))
+    else:
+        _print_table(balance)
+
+
+def _of_state(path: Path, options: EnergyOptions) -> Orbit:
+    """Return the numerical orbit through the state vector in a file."""
+    from magcal_core.energy.balance import integrated
+    from magcal_core.orbit.state import parse_state
+
+    state = parse_state(read_text(path))
+    return integrated(state.epoch_utc, state.r_km, state.v_km_s, options, state.frame)
+
+
+def _of_tle(path: Path, orbit: str, options: EnergyOptions) -> Orbit:
+    """Return the orbit of the one TLE in a file: integrated from its state at the epoch, or SGP4 itself."""
+    import numpy as np
+
+    from magcal_core.energy.balance import integrated
+    from magcal_core.orbit.sgp4 import Sgp4Orbit
+    from magcal_core.orbit.tle import parse_tles
+
+    tles = parse_tles(read_text(path))
+    if len(tles) > 1:
+        click.echo(f"magcal: {path} has {len(tles)} TLEs; the first, of {tles[0].epoch_utc}Z, is used", err=True)
+    sgp4 = Sgp4Orbit(tles[0])
+    if orbit == "sgp4":
+        return sgp4
+    r_km, v_km_s = sgp4.state_gcrf(np.array([sgp4.epoch_utc]))
+    return integrated(sgp4.epoch_utc, r_km[0], v_km_s[0], options)
+
+
+def _write_series(balance: EnergyBalance, path: Path) -> None:
+    """Write H and every term as CSV, times in UTC."""
+    import numpy as np
+
+    columns = balance.columns()
+    times = [f"{text}Z" for text in np.datetime_as_string(balance.t_utc, unit="us")]
+    with path.open("w", newline="", encoding="utf-8") as out:
+        writer = csv.writer(out, lineterminator="\n")
+        writer.writerow(["time", *(f"{name}_m2_s2" for name in columns)])
+        for k, time in enumerate(times):
+            writer.writerow([time, *(f"{series[k]:.17g}" for series in columns.values())])
+
+
+def _print_table(balance: EnergyBalance) -> None:
+    """Print the balance for people."""
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    span_h = float((balance.t_utc[-1] - balance.t_utc[0]).astype("timedelta64[s]").astype(int)) / 3600.0
+    title = f"Energy balance, {balance.orbit_model}, {span_h:g} h, form {balance.options.form}: {balance.consistency}"
+    table = Table(title=title)
+    table.add_column("m2/s2")
+    for head in ("mean", "std", "peak to peak"):
+        table.add_column(head, justify="right")
+    for name, spread in {"H": balance.spread, "H + frame_rate": balance.frame_free}.items():
+        table.add_row(name, f"{spread.mean:.4f}", f"{spread.std:.4g}", f"{spread.peak_to_peak:.4g}", style="bold")
+    for name, series in balance.terms.items():
+        table.add_row(name, f"{series.mean():.4f}", f"{series.std():.4g}", f"{series.max() - series.min():.4g}")
+    console.print(table)
+    console.print(f"drift of H: {balance.drift_m2_s2_per_day:.4g} m2/s2 per day")
+    if balance.recovery is not None:
+        _print_recovery(balance, console)
+    for warning in balance.warnings:
+        console.print(f"warning: {warning}", style="yellow")
+
+
+def _print_recovery(balance: EnergyBalance, console: Console) -> None:
+    """Print how well each degree was recovered."""
+    from rich.table import Table
+
+    recovery = balance.recovery
+    if recovery is None:
+        return
+    title = f"Degree {recovery.degree} by {recovery.method}: rms error {recovery.rms_error:.3g}, "
+    table = Table(title=f"{title}residual {recovery.residual_rms_m2_s2:.3g} m2/s2")
+    table.add_column("degree", justify="right")
+    table.add_column("error / signal", justify="right")
+    for n, relative in enumerate(recovery.relative_error_by_degree, start=2):
+        table.add_row(str(n), f"{relative:.3g}")
+    console.print(table)
