@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from magcal_core.energy.balance import EnergyBalance
     from magcal_core.energy.options import EnergyOptions
     from magcal_core.orbit import Orbit
+    from magcal_core.orbit.oem import OemOrbit
 
 FORMS = ("corrected", "printed", "static-tide", "no-correction", "frame-rate", "rotation-wrong-sign", "no-rotation",
          "rotation-about-itrf-z", "rotation-about-gcrf-z", "dissipation-inertial")  # fmt: skip
@@ -25,10 +26,11 @@ FORMS = ("corrected", "printed", "static-tide", "no-correction", "frame-rate", "
 
 @click.command("energy")
 @click.option("--state", type=INPUT_FILE, help="State vector, JSON {epoch, frame, position_km, velocity_km_s}.")
+@click.option("--oem", type=INPUT_FILE, help="CCSDS OEM ephemeris; its own states are balanced, from its start.")
 @click.option(
     "--tle", type=INPUT_FILE, help="TLE; integrated from its state at the epoch, or with --orbit sgp4 as it is."
 )
-@click.option("--duration", "duration_s", type=float, default=86400.0, show_default=True, help="s.")
+@click.option("--duration", "duration_s", type=float, help="s; without it a day, or the whole ephemeris.")
 @click.option("--step", "step_s", type=float, default=30.0, show_default=True, help="s.")
 @click.option("--orbit", type=click.Choice(["numerical", "sgp4"]), default="numerical", show_default=True)
 @click.option("--degree", type=int, default=12, show_default=True, help="Degree and order of EGM96, 0 to 36.")
@@ -50,6 +52,7 @@ FORMS = ("corrected", "printed", "static-tide", "no-correction", "frame-rate", "
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(
     state: Path | None,
+    oem: Path | None,
     tle: Path | None,
     orbit: str,
     series: Path | None,
@@ -59,19 +62,23 @@ def command(
     """Balance the energy along an orbit; recover gravity coefficients from it with --recover.
 
     H = v^2/2 - w.(r x v) - U - int a.(v - w x r) dt - tidal work stays constant where frames, potential and
-    integrator agree: its standard deviation is the test. Exactly one of --state and --tle is wanted.
+    integrator agree: its standard deviation is the test. Exactly one of --state, --oem and --tle is wanted.
     """
     from magcal_core.energy.balance import energy_balance
     from magcal_core.energy.options import EnergyOptions
+    from magcal_core.orbit.oem import parse_oem
 
-    given = [path for path in (state, tle) if path is not None]
+    given = [path for path in (state, oem, tle) if path is not None]
     if len(given) != 1:
-        raise click.UsageError(f"want exactly one of --state and --tle, not {len(given)}")
+        raise click.UsageError(f"want exactly one of --state, --oem and --tle, not {len(given)}")
+    ephemeris = None if oem is None else parse_oem(read_text(oem))
+    if spec["duration_s"] is None:
+        spec["duration_s"] = 86400.0 if ephemeris is None else _length_s(ephemeris)
     try:
         options = EnergyOptions.from_dict(spec)
     except OptionError as error:
         raise usage_error(error) from error
-    source = _of_state(state, options) if state else _of_tle(given[0], orbit, options)
+    source = ephemeris or (_of_state(state, options) if state else _of_tle(given[0], orbit, options))
     balance = energy_balance(source, options)
     if series is not None:
         _write_series(balance, series)
@@ -88,6 +95,13 @@ def _of_state(path: Path, options: EnergyOptions) -> Orbit:
 
     state = parse_state(read_text(path))
     return integrated(state.epoch_utc, state.r_km, state.v_km_s, options, state.frame)
+
+
+def _length_s(ephemeris: OemOrbit) -> float:
+    """Return how long an ephemeris is, s."""
+    import numpy as np
+
+    return float((ephemeris.until_utc - ephemeris.epoch_utc) / np.timedelta64(1, "ns")) / 1e9
 
 
 def _of_tle(path: Path, orbit: str, options: EnergyOptions) -> Orbit:

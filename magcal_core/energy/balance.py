@@ -253,7 +253,8 @@ def _warnings(source: Orbit | StateRows, options: EnergyOptions) -> tuple[str, .
     found = []
     if source.model == "sgp4":
         found.append("sgp4_velocity: SGP4 is 1 m/s off, which is 7.6e3 m2/s2: no test of frames or field")
-    if isinstance(source, StateRows) and source.a_nongravitational_km_s2 is None:
+    measured = isinstance(source, StateRows) and source.a_nongravitational_km_s2 is not None
+    if not measured and not isinstance(source, NumericalOrbit):
         found.append("dissipation_estimated: no accelerations were given; the drift of H is the estimate of their work")
     if options.form != "corrected":
         found.append(f"form: {options.form} is for comparison; the balance is the form 'corrected'")

@@ -4,12 +4,15 @@ import csv
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from app.cli.energy import FORMS as OFFERED
 from app.cli.main import magcal, run
 from magcal_core.energy.terms import FORMS
+from magcal_core.errors import ModelRangeError
+from magcal_core.orbit.numerical import NumericalOrbit
 
 STATE = {
     "epoch": "2022-02-19T22:37:44.130Z",
@@ -86,6 +89,34 @@ def test_a_tle_is_integrated_or_taken_as_it_is(tmp_path: Path) -> None:
     sgp4 = printed("--tle", path, "--duration", "7200", "--step", "60", "--orbit", "sgp4")
     assert sgp4["hamiltonian"]["std_m2_s2"] > 100.0
     assert sgp4["warnings"][0].startswith("sgp4_velocity")  # type: ignore[index]
+
+
+def oem_of_a_numerical_orbit() -> str:
+    """An ephemeris of two hours, a state a minute, with the digits that such messages carry."""
+    epoch = np.datetime64("2022-02-19T22:37:44.130", "ns")
+    orbit = NumericalOrbit(epoch, STATE["position_km"], STATE["velocity_km_s"])  # type: ignore[arg-type]
+    t_utc = epoch + np.arange(0, 7201, 60).astype("timedelta64[s]")
+    lines = [
+        "CCSDS_OEM_VERS = 2.0", "CREATION_DATE = 2022-02-20T00:00:00", "ORIGINATOR = TEST", "META_START",
+        "OBJECT_NAME = DEKART", "OBJECT_ID = 2020-068H", "CENTER_NAME = EARTH", "REF_FRAME = GCRF", "TIME_SYSTEM = UTC",
+        f"START_TIME = {t_utc[0]}", f"STOP_TIME = {t_utc[-1]}", "INTERPOLATION = HERMITE", "INTERPOLATION_DEGREE = 9",
+        "META_STOP",
+    ]  # fmt: skip
+    for time, r_km, v_km_s in zip(t_utc, *orbit.state_gcrf(t_utc), strict=True):
+        lines.append(" ".join([str(time), *(f"{x:.9f}" for x in r_km), *(f"{x:.12f}" for x in v_km_s)]))
+    return "\n".join(lines) + "\n"
+
+
+def test_an_ephemeris_is_balanced_over_its_whole_length(tmp_path: Path) -> None:
+    """Interpolated between nodes a minute apart: H within 0.01 m2/s2; friction can only be estimated."""
+    path = tmp_path / "dekart.oem"
+    path.write_text(oem_of_a_numerical_orbit())
+    result = printed("--oem", path, "--step", "60")
+    assert result["samples"] == 121
+    assert result["hamiltonian"]["std_m2_s2"] < 0.02
+    assert result["warnings"][0].startswith("dissipation_estimated")  # type: ignore[index]
+    beyond = CliRunner().invoke(magcal, ["energy", "--oem", str(path), "--duration", "9000"])
+    assert isinstance(beyond.exception, ModelRangeError)
 
 
 def test_series_are_written_as_csv(state_file: Path, tmp_path: Path) -> None:
