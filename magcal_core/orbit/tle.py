@@ -277,6 +277,8 @@ def _range_faults(numbers: tuple[int, int], line1: str, line2: str) -> list[Faul
     day = float(LINE_1["epoch day"].text(line1))
     if not 1.0 <= day < 367.0:
         faults.append(Fault(f"line {numbers[0]}, column 21-32", f"epoch day is {day}, want 1 to 366.99999999"))
+    if LINE_1["ephemeris type"].text(line1) == "4":
+        faults.append(Fault(f"line {numbers[0]}, column 63", "ephemeris type is 4, SGP4-XP; SGP4 cannot propagate it"))
     for name, limit_deg in _LIMITS_DEG.items():
         angle_deg = float(LINE_2[name].text(line2))
         if angle_deg > limit_deg:
@@ -291,7 +293,7 @@ def _motion_faults(number: int, line2: str) -> list[Fault]:
     if motion_rev_day <= 0.0:
         return [Fault(f"line {number}, {column.where}", f"mean motion is {motion_rev_day} rev/day, want more than 0")]
     eccentricity = _eccentricity(line2)
-    perigee_km, _ = _apsides_km(motion_rev_day, eccentricity, float(LINE_2["inclination"].text(line2)))
+    perigee_km, _ = apsides_km(motion_rev_day, eccentricity, float(LINE_2["inclination"].text(line2)))
     if perigee_km < EARTH_RADIUS_SGP4_KM:
         why = (
             f"mean motion {motion_rev_day} rev/day with eccentricity {eccentricity} puts the perigee "
@@ -301,7 +303,7 @@ def _motion_faults(number: int, line2: str) -> list[Fault]:
     return []
 
 
-def _apsides_km(motion_rev_day: float, eccentricity: float, inclination_deg: float) -> tuple[float, float]:
+def apsides_km(motion_rev_day: float, eccentricity: float, inclination_deg: float) -> tuple[float, float]:
     """Return the radii of perigee and apogee, km, from Kozai's mean motion of the TLE (SGP4, initl)."""
     kozai = motion_rev_day * 2.0 * np.pi / 1440.0
     cosine = np.cos(np.radians(inclination_deg))
@@ -344,7 +346,7 @@ def _cospar_id(line1: str) -> str:
 def _tle(name: str, line1: str, line2: str) -> Tle:
     motion_rev_day, eccentricity = float(LINE_2["mean motion"].text(line2)), _eccentricity(line2)
     inclination_deg = float(LINE_2["inclination"].text(line2))
-    perigee_km, apogee_km = _apsides_km(motion_rev_day, eccentricity, inclination_deg)
+    perigee_km, apogee_km = apsides_km(motion_rev_day, eccentricity, inclination_deg)
     return Tle(
         name=name,
         line1=line1,

@@ -147,6 +147,7 @@ def test_a_wrong_checksum_is_named_with_line_and_both_digits(line: int) -> None:
         (f"{edited(LINE_1, 21, '000.50000000')}\n{LINE_2}", "line 1, column 21-32: epoch day is 0.5"),
         (f"{edited(LINE_1, 21, '367.00000000')}\n{LINE_2}", "line 1, column 21-32: epoch day is 367.0"),
         (f"{edited(LINE_1, 54, ' nan    ')}\n{LINE_2}", "line 1, column 54-61: B* is malformed"),
+        (f"{edited(LINE_1, 63, '4')}\n{LINE_2}", "line 1, column 63: ephemeris type is 4"),
         (f"{LINE_1}\n{edited(LINE_2, 17, 'x')}", "line 2, column 17: want a blank"),
         ("hello\n" + PLAIN.replace("1 4", "x 4", 1), "line 1: neither a line of a TLE nor a name"),
         ("DEKART\n", "line 1: neither a line of a TLE nor a name"),
