@@ -9,6 +9,7 @@ from collections.abc import Callable, Coroutine
 from datetime import datetime
 from threading import Lock
 from typing import Annotated, Final
+from urllib.parse import urlsplit
 
 from fastapi import Depends, Request
 from fastapi.security import HTTPBearer
@@ -71,12 +72,23 @@ def _is_in_force(row: ApiKey, now: datetime) -> bool:
     return row.revoked_at is None and (row.expires_at is None or row.expires_at > now)
 
 
+def is_same_origin(request: Request) -> bool:
+    """Return whether the request comes from a page of this service.
+
+    Browsers send ``Sec-Fetch-Site`` where the connection is secure or local; elsewhere ``Origin`` tells it.
+    """
+    site = request.headers.get("sec-fetch-site")
+    if site is not None:
+        return site == "same-origin"
+    return urlsplit(request.headers.get("origin", "")).netloc == request.headers.get("host", "-")
+
+
 def _verify_login(session: Session, request: Request) -> ApiKey | None:
     """Return the key behind the login cookie; changes need the page's own origin, so that no other site can ask."""
     token = request.cookies.get(LOGIN_COOKIE)
     if token is None:
         return None
-    if request.method not in SAFE_METHODS and request.headers.get("sec-fetch-site", "cross-site") != "same-origin":
+    if request.method not in SAFE_METHODS and not is_same_origin(request):
         return None
     keys, now = KeyRepository(session), utc_now()
     login = keys.find_login(token)

@@ -13,6 +13,8 @@ from starlette.concurrency import run_in_threadpool
 
 from app import health
 from app.auth import FailureLimiter
+from app.dashboard import endpoints as displays
+from app.dashboard import pages
 from app.database import Database
 from app.errors import install_handlers
 from app.field import endpoints as field
@@ -25,13 +27,13 @@ from app.parameter_sets import endpoints as parameter_sets
 from app.satellites import endpoints as satellites
 from app.security import SecurityHeaders
 from app.sessions import endpoints as sessions
-from app.sessions.idempotency import Running
+from app.idempotency import Running
 from app.sessions.upload import Admission, sweep_incoming
 from app.settings import Settings
 from app.store import open_store
 
 API: Final = "/api/v1"
-ROOMS: Final = (satellites, orbits, sessions, jobs, parameter_sets, field, keys)
+ROOMS: Final = (satellites, orbits, sessions, jobs, parameter_sets, field, keys, displays)
 STOP_GRACE_S: Final = 20.0
 
 log = structlog.get_logger()
@@ -60,6 +62,7 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
     for room in ROOMS:
         api.include_router(room.router)
     app.include_router(api)
+    app.include_router(pages.router)
     install_handlers(app)
     app.add_middleware(SecurityHeaders)
     app.add_middleware(RequestLog)

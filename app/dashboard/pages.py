@@ -5,12 +5,12 @@ from __future__ import annotations
 from functools import cache
 from importlib import resources
 from typing import TYPE_CHECKING, Annotated, Final
-from urllib.parse import urlsplit
+from urllib.parse import parse_qsl
 
-from fastapi import APIRouter, Form, Request, Response
-from fastapi.responses import HTMLResponse, RedirectResponse
+from fastapi import APIRouter, Depends, Request, Response
+from fastapi.responses import HTMLResponse, JSONResponse, RedirectResponse
 
-from app.auth import LOGIN_COOKIE, FailureLimiter, authenticate, verify_key
+from app.auth import LOGIN_COOKIE, FailureLimiter, authenticate, is_same_origin, verify_key
 from app.errors import TooManyFailuresError, UnauthorizedError
 from app.keys.repository import KEY_FORM, Caller, KeyRepository
 from app.resources import Config, Db
@@ -30,6 +30,7 @@ PAGE_HEADERS: Final = {
     "Cache-Control": "no-store",
 }
 """Nothing is loaded from elsewhere and no script stands inside a page; the plot library sets style attributes."""
+MOST_FORM_BYTES: Final = 4096
 WRONG_KEY: Final = "This is not a valid key. It may have expired or been revoked."
 
 
@@ -111,25 +112,38 @@ def keys_page(request: Request) -> HTMLResponse:
     return _page(request, "keys.html", "Keys")
 
 
+async def form_fields(request: Request) -> dict[str, str]:
+    """Return the fields of a short form; what is longer than any login is no form of ours."""
+    body = b""
+    async for piece in request.stream():
+        body += piece
+        if len(body) > MOST_FORM_BYTES:
+            return {}
+    return dict(parse_qsl(body.decode("utf-8", "replace"), max_num_fields=8))
+
+
 @router.post("/login")
 def log_in(
-    request: Request, db: Db, config: Config, key: Annotated[str, Form()], target: Annotated[str, Form()] = "/"
+    request: Request, db: Db, config: Config, fields: Annotated[dict[str, str], Depends(form_fields)]
 ) -> Response:
     """Exchange a key for a cookie that scripts cannot read and other sites cannot use."""
+    key, target = fields.get("key", "").strip(), _own_path(fields.get("target", "/"))
     if not is_same_origin(request):
         return _render("login.html", 403, title="Sign in", target="/", message="Sign in from this site's own page.")
     limiter: FailureLimiter = request.app.state.failures
-    form = KEY_FORM.fullmatch(key.strip())
+    form = KEY_FORM.fullmatch(key)
     address = request.client.host if request.client else "unknown"
     suspects = [f"address {address}", *([f"key {form[1]}"] if form else [])]
-    target = _own_path(target)
     try:
         limiter.check(*suspects)
     except TooManyFailuresError as error:
         return _render("login.html", 429, title="Sign in", target=target, message=f"{error.message}.")
     with db.write() as session:
-        row = verify_key(session, key.strip())
-        token = None if row is None else KeyRepository(session).open_login(row.id, config.login_hours)
+        row = verify_key(session, key)
+        token = None
+        if row is not None:
+            caller = Caller(row.id, frozenset(row.scopes), address=address, request_id=request.state.request_id)
+            token = KeyRepository(session, caller).open_login(row.id, config.login_hours)
     if token is None:
         limiter.note(*suspects)
         return _render("login.html", 403, title="Sign in", target=target, message=WRONG_KEY)
@@ -145,6 +159,12 @@ def log_in(
     return response
 
 
+@router.get("/login/state")
+def login_state(request: Request) -> JSONResponse:
+    """Tell whether the request's cookie is a login in force."""
+    return JSONResponse({"signed_in": _caller(request) is not None}, headers={"Cache-Control": "no-store"})
+
+
 @router.post("/logout")
 def log_out(request: Request, db: Db) -> Response:
     """Forget the login."""
@@ -155,17 +175,6 @@ def log_out(request: Request, db: Db) -> Response:
     response = RedirectResponse("/", 303, headers={"Cache-Control": "no-store"})
     response.delete_cookie(LOGIN_COOKIE, httponly=True, samesite="strict")
     return response
-
-
-def is_same_origin(request: Request) -> bool:
-    """Return whether the request comes from a page of this service.
-
-    Browsers send ``Sec-Fetch-Site`` where the connection is secure or local; elsewhere ``Origin`` tells it.
-    """
-    site = request.headers.get("sec-fetch-site")
-    if site is not None:
-        return site == "same-origin"
-    return urlsplit(request.headers.get("origin", "")).netloc == request.headers.get("host", "-")
 
 
 def _own_path(target: str) -> str:

@@ -41,18 +41,22 @@ def parameter_history(sets: Sequence[ParameterSetRecord], theme: Theme = LIGHT) 
     ordered = sorted(sets, key=lambda record: record["data_from"])
     x = _middle_ms(ordered)
     traces: list[Trace] = []
-    layout: Layout = {"height": 600, "showlegend": False}
+    headings: list[Layout] = []
+    layout: Layout = {"height": 620, "showlegend": False, "annotations": headings}
     for row, (group, title, letter) in enumerate(GROUPS):
         top = 1.0 - row * 0.35
         for i in range(3):
             number = 3 * row + i + 1
             name = "" if number == 1 else str(number)
             left = i * 0.35
-            layout[f"xaxis{name}"] = axis(
-                theme, type="date", domain=[left, left + 0.3], anchor=f"y{name}", matches="x", nticks=4
+            times = axis(theme, type="date", domain=[left, left + 0.28], anchor=f"y{name}", nticks=4)
+            layout[f"xaxis{name}"] = times if number == 1 else times | {"matches": "x"}
+            layout[f"yaxis{name}"] = axis(theme, domain=[top - 0.23, top], anchor=f"x{name}", nticks=5)
+            unit = "" if group == "scale" else f", {title.split(', ')[1]}"
+            headings.append(
+                {"text": f"<b>{letter}{i + 1}</b>{unit}", "xref": "paper", "yref": "paper", "x": left, "y": top + 0.01}
+                | {"xanchor": "left", "yanchor": "bottom", "showarrow": False}
             )
-            label = f"{letter}{i + 1}" if group == "scale" else f"{letter}{i + 1}, {title.split(', ')[1]}"
-            layout[f"yaxis{name}"] = axis(theme, label, domain=[top - 0.27, top], anchor=f"x{name}", nticks=5)
             trace = _history_trace(ordered, group, i, theme)
             traces.append(trace | {"x": x, "xaxis": f"x{name}", "yaxis": f"y{name}", "name": f"{letter}{i + 1}"})
     return make_figure(traces, theme, layout)

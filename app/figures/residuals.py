@@ -185,15 +185,15 @@ def hemispheres(theme: Theme) -> Layout:
     ]
     labels = [
         {"xref": name, "yref": "y", "x": x, "y": y, "text": text, "showarrow": False, "font": {"color": theme.muted}}
-        for name, pole in (("x", "+z"), ("x2", "−z"))
-        for x, y, text in ((0, 0, pole), (1.06, 0, "+x"), (-1.06, 0, "−x"), (0, 1.06, "+y"), (0, -1.06, "−y"))
+        for name, pole in (("x", "<b>+z</b>"), ("x2", "<b>−z</b>"))
+        for x, y, text in ((-0.9, 0.9, pole), (1.06, 0, "+x"), (-1.06, 0, "−x"), (0, 1.06, "+y"), (0, -1.06, "−y"))
     ]
     return {
         "height": 400,
         "showlegend": False,
         "margin": {"l": 8, "r": 8, "t": 16, "b": 8},
         "xaxis": axis(theme, domain=[0.0, 0.47]) | bare,
-        "xaxis2": axis(theme, domain=[0.53, 1.0]) | bare,
+        "xaxis2": axis(theme, domain=[0.53, 1.0], scaleanchor="y") | bare,
         "yaxis": axis(theme, scaleanchor="x") | bare,
         "shapes": circles,
         "annotations": labels,

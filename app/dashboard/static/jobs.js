@@ -1,5 +1,5 @@
 // The queue, live: progress, cancel, retry.
-import { api, age, h, listed, may, notice, section, short, show, start, state, time } from "./magcal.js";
+import { ago, h, listed, may, notice, section, short, show, start, state, time } from "./magcal.js";
 import { cancel, ENDED, retry, watch } from "./job.js";
 import { table } from "./table.js";
 
@@ -31,7 +31,7 @@ const columns = (again) => [
   { name: "session", value: (r) => r.session_ids[0], show: (r) => r.session_ids.length ? h("a", { href: `/sessions/${r.session_ids[0]}` }, short(r.session_ids[0]),
     r.session_ids.length > 1 ? ` and ${r.session_ids.length - 1} more` : "") : "–" },
   { name: "method", value: (r) => r.options.method ?? "" },
-  { name: "created", value: (r) => r.created_at, show: (r) => h("span", { title: time(r.created_at) }, `${age(r.created_at)} ago`) },
+  { name: "created", value: (r) => r.created_at, show: (r) => h("span", { title: time(r.created_at) }, ago(r.created_at)) },
   { name: "attempts", numeric: true, value: (r) => r.attempts },
   { name: "result", value: (r) => r.result?.parameter_set_id ?? r.error?.code ?? "", show: result },
   { name: "", value: () => "", show: (r) => actions(r, again) },

@@ -15,7 +15,7 @@ function create(again) {
     if (values.name) body.name = values.name;
     const satellites = values.satellites.split(",").map((one) => one.trim()).filter(Boolean);
     if (satellites.length) body.satellites = satellites;
-    if (values.expires_at) body.expires_at = `${values.expires_at}:00Z`.replace(/(:\d\d:\d\d):00Z$/, "$1Z");
+    if (values.expires_at) body.expires_at = new Date(`${values.expires_at}Z`).toISOString();
     const made = await api("/keys", { method: "POST", json: body });
     place.replaceChildren(h("div", { class: "notice accept" }, h("p", {}, "The key is shown this once. Copy it now:"), h("code", { class: "secret" }, made.key)));
     again();

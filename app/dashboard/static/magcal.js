@@ -74,6 +74,8 @@ export function age(text, now = Date.now()) {
   return `${Math.floor(minutes / 1440)} d`;
 }
 
+export const ago = (text) => (age(text) === "now" ? "just now" : `${age(text)} ago`);
+
 export const SYMBOLS = { accept: "●", weak: "◆", refuse: "✕" };
 
 export function grade(name) {

@@ -7,9 +7,9 @@ const COLUMNS = [
   { name: "magnetometer", value: (r) => r.magnetometer },
   { name: "active set", value: (r) => r.active?.grade, show: (r) => r.active
     ? h("a", { href: `/parameter-sets/${r.active.id}` }, grade(r.active.grade)) : h("span", { class: "muted" }, "none") },
-  { name: "its data's age", numeric: true, value: (r) => r.active && Date.parse(r.active.data_until), show: (r) => age(r.active?.data_until) },
+  { name: "data's age", numeric: true, value: (r) => r.active && Date.parse(r.active.data_until), show: (r) => age(r.active?.data_until) },
   { name: "in force since", value: (r) => r.active?.activated_at, show: (r) => time(r.active?.activated_at) },
-  { name: "its residual", numeric: true, value: (r) => r.active?.rms_nt, show: (r) => nt(r.active?.rms_nt) },
+  { name: "residual", numeric: true, value: (r) => r.active?.rms_nt, show: (r) => nt(r.active?.rms_nt) },
   { name: "last session", value: (r) => r.last_session?.data_until, show: (r) => r.last_session
     ? h("a", { href: `/sessions/${r.last_session.id}` }, time(r.last_session.data_until)) : "–" },
   { name: "its residual under the active set", numeric: true, value: (r) => r.under_active, show: underActive },

@@ -91,7 +91,7 @@ function provenance(record) {
     ["parameter set", h("code", {}, record.id)], ["created", time(record.created_at)], ["job", h("code", {}, record.job_id)],
     ["sessions", record.session_ids.map((one) => [h("a", { href: `/sessions/${one}` }, short(one)), " "])],
     ...(from.inputs ?? []).map((input, i) => [`input ${i + 1}`, h("code", {}, input.sha256 ?? text(input))]),
-    ...(from.orbits ?? []).map((orbit, i) => [`orbit ${i + 1}`, Object.entries(orbit).map(([name, value]) => `${name.replaceAll("_", " ")} ${typeof value === "number" ? fixed(value, 2) : text(value)}`).join(", ")]),
+    ...(from.orbits ?? []).map((orbit, i) => [`orbit ${i + 1}`, Object.entries(orbit).map(([name, value]) => `${name.replaceAll("_", " ")} ${typeof value === "number" ? fixed(value, Number.isInteger(value) ? 0 : 2) : text(value)}`).join(", ")]),
     ...Object.entries(from.options ?? {}).map(([name, value]) => [name.replaceAll("_", " "), text(value)]),
     ["software", from.software ? text(from.software) : null]]);
 }

@@ -1,5 +1,5 @@
 // One session: what it holds, how good it is, and a calibration of it.
-import { age, api, facts, field, fixed, form, grade, h, listed, may, nt, option, section, short, show, start, tiles, time, title } from "./magcal.js";
+import { ago, api, facts, field, fixed, form, grade, h, listed, may, nt, option, section, short, show, start, tiles, time, title } from "./magcal.js";
 import { follow } from "./job.js";
 import { plot } from "./plot.js";
 import { table } from "./table.js";
@@ -54,7 +54,7 @@ start(async () => {
     section("Quality", facts([...flagRows(quality), ["rows without a time", quality.rows_without_time], ["rows out of order", quality.rows_out_of_order],
       ["columns ignored", quality.columns_ignored?.join(", ") || null], ["columns", session.columns.join(", ")]])),
     section("Bytes", facts([["SHA-256", session.sha256 ? h("code", {}, session.sha256) : null], ["size", `${fixed(session.size_bytes, 0)} bytes`],
-      ["received", `${time(session.created_at)} (${age(session.created_at)} ago)`], ["chunks", String(session.chunks.length)],
+      ["received", `${time(session.created_at)} (${ago(session.created_at)})`], ["chunks", String(session.chunks.length)],
       ["download", ["csv", "ndjson", "json", "parquet"].map((form) => [h("a", { href: `/api/v1/sessions/${id}/samples?format=${form}`, download: true }, form), " "])]])));
   const sets = await listed(`/satellites/${session.satellite}/history?session=${id}`, 200);
   setsPlace.replaceChildren(setsPlace.firstChild, table([
