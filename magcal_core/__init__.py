@@ -12,10 +12,15 @@ if TYPE_CHECKING:
     from magcal_core.calibration.result import Calibration as Calibration
     from magcal_core.field.dipole import DirectDipole as DirectDipole
     from magcal_core.field.igrf import Igrf as Igrf
+    from magcal_core.field.models import field_model as field_model
     from magcal_core.orbit.numerical import NumericalOrbit as NumericalOrbit
+    from magcal_core.orbit.oem import OemOrbit as OemOrbit
     from magcal_core.orbit.sgp4 import Sgp4Orbit as Sgp4Orbit
+    from magcal_core.orbit.sources import parse_orbits as parse_orbits
+    from magcal_core.orbit.state import StateVector as StateVector
     from magcal_core.pipeline import CalibrationOptions as CalibrationOptions
     from magcal_core.pipeline import calibrate as calibrate
+    from magcal_core.reference import with_reference as with_reference
     from magcal_core.samples import Samples as Samples
     from magcal_core.sensor import SensorModel as SensorModel
     from magcal_core.simulate import simulate as simulate
@@ -27,12 +32,17 @@ _HOME: Final[dict[str, str]] = {
     "DirectDipole": "field.dipole",
     "Igrf": "field.igrf",
     "NumericalOrbit": "orbit.numerical",
+    "OemOrbit": "orbit.oem",
     "Samples": "samples",
     "SensorModel": "sensor",
     "Sgp4Orbit": "orbit.sgp4",
+    "StateVector": "orbit.state",
     "calibrate": "pipeline",
+    "field_model": "field.models",
+    "parse_orbits": "orbit.sources",
     "read_samples": "telemetry",
     "simulate": "simulate",
+    "with_reference": "reference",
 }
 
 __all__ = sorted(_HOME)  # noqa: PLE0605

@@ -61,6 +61,11 @@ class OemOrbit:
     text: str = field(default="", repr=False)
     model: str = field(default="oem", init=False)
 
+    @classmethod
+    def from_text(cls, text: str) -> OemOrbit:
+        """Return the ephemeris in an OEM, KVN or XML; see `parse_oem` for what it raises."""
+        return parse_oem(text)
+
     @property
     def epoch_utc(self) -> np.datetime64:
         """Start of the ephemeris, UTC."""
