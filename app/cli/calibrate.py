@@ -23,7 +23,6 @@ from app.cli.options import (
     F,
     LateProgress,
     added,
-    orbit_of_state,
     orbits_of_file,
     usage_error,
 )
@@ -59,10 +58,10 @@ def _telemetry_options(function: F) -> F:
 def _orbit_options(function: F) -> F:
     """Add the options of where the satellite was."""
     return added(function, [
-        click.option("--tle", "orbit_files", type=INPUT_FILE, multiple=True, help="TLEs, any number."),
-        click.option("--state", "states", type=INPUT_FILE, multiple=True,
+        click.option("--tle", type=INPUT_FILE, multiple=True, help="TLEs, any number."),
+        click.option("--state", type=INPUT_FILE, multiple=True,
                      help="State vector, JSON {epoch, frame, position_km, velocity_km_s}."),
-        click.option("--orbit-file", "orbit_files", type=INPUT_FILE, multiple=True, help="TLE, OMM or OEM."),
+        click.option("--orbit-file", type=INPUT_FILE, multiple=True, help="TLE, OMM, OEM or state vector."),
         click.option("--orbit", type=click.Choice(ORBIT_MODELS), help="How elements are propagated.  [default: sgp4]"),
         click.option("--max-orbit-age-days", type=float, help="Refuse orbits further from the data.  [default: 14]"),
         click.option("--field", help="Field model: igrf, igrf-14, igrf-13, dipole.  [default: igrf]"),
@@ -97,8 +96,9 @@ def _estimation_options(function: F) -> F:
 def command(
     *,
     telemetry: tuple[Path, ...],
-    orbit_files: tuple[Path, ...],
-    states: tuple[Path, ...],
+    tle: tuple[Path, ...],
+    state: tuple[Path, ...],
+    orbit_file: tuple[Path, ...],
     unit: str,
     columns: Mapping[str, str] | None,
     kind: str | None,
@@ -123,8 +123,7 @@ def command(
         raise click.UsageError(f"{residuals}: the ending tells no format; use .csv, .ndjson, .json or .parquet")
     reading = Reading(unit, columns, kind, range_nt, time_scale, max_bad_fraction, not any_field)
     samples, inputs = _read_all(telemetry, reading)
-    orbits = [orbit for path in orbit_files for orbit in orbits_of_file(path)]
-    orbits += [orbit_of_state(path) for path in states]
+    orbits = [orbit for path in (*tle, *state, *orbit_file) for orbit in orbits_of_file(path)]
     with LateProgress("calibrating") as progress:
         calibration = calibrate(samples, orbits, options, progress=progress)
     record = parameter_set(calibration, inputs)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 
 import click
 
-from magcal_core.errors import OptionError, OrbitFormatError
+from magcal_core.errors import OptionError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -116,51 +116,21 @@ def usage_error(error: OptionError) -> click.UsageError:
 
 
 def orbits_of_file(path: Path) -> list[Orbit]:
-    """Return the orbits in a file: TLEs, any number.
+    """Return the orbits in a file: TLEs, OMMs, an OEM or state vectors; the content tells which.
 
     Raises
     ------
     InputError
-        The file holds no sound orbit.
+        The file holds no sound orbit; its faults say where.
     """
-    from magcal_core.orbit.sgp4 import Sgp4Orbit
-    from magcal_core.orbit.tle import parse_tles
+    from magcal_core.orbit.sources import parse_orbits
 
-    return [Sgp4Orbit(tle) for tle in parse_tles(read_text(path))]
-
-
-def orbit_of_state(path: Path) -> Orbit:
-    """Return the numerical orbit through the state vector in a JSON file.
-
-    Raises
-    ------
-    OrbitFormatError
-        The file is no state vector of a satellite.
-    """
-    from magcal_core.orbit.numerical import NumericalOrbit
-    from magcal_core.orbit.state import parse_state
-
-    state = parse_state(read_text(path)).in_frame("GCRF")
-    return NumericalOrbit(state.epoch_utc, state.r_km, state.v_km_s)
+    return parse_orbits(path.read_bytes())
 
 
 def nearest(orbits: Sequence[Orbit], t_utc: np.datetime64) -> Orbit:
     """Return the orbit whose epoch is nearest to ``t_utc``."""
     return min(orbits, key=lambda orbit: abs(orbit.epoch_utc - t_utc))
-
-
-def read_text(path: Path) -> str:
-    """Return the text of an orbit file.
-
-    Raises
-    ------
-    OrbitFormatError
-        The file is not UTF-8.
-    """
-    try:
-        return path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise OrbitFormatError(f"{path}: not UTF-8 at byte offset {error.start}") from error
 
 
 class LateProgress:

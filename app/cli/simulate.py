@@ -17,7 +17,6 @@ from app.cli.options import (
     VectorCommand,
     added,
     nearest,
-    orbit_of_state,
     orbits_of_file,
     usage_error,
 )
@@ -144,9 +143,8 @@ def _instant(text: str) -> np.datetime64:
 
 
 def _orbit(tle: Path | None, state: Path | None, start: np.datetime64 | None) -> Orbit:
-    if state is not None:
-        return orbit_of_state(state)
-    orbits = [] if tle is None else orbits_of_file(tle)
+    path = tle or state
+    orbits = [] if path is None else orbits_of_file(path)
     return orbits[0] if start is None else nearest(orbits, start)
 
 

@@ -89,6 +89,16 @@ def test_a_simulated_pass_gives_its_truth_back(simulated: Path, data_dir: Path) 
         assert record["orbit_model"] == "sgp4"
 
 
+def test_several_orbits_are_given_and_the_nearest_one_is_used(simulated: Path, data_dir: Path, tmp_path: Path) -> None:
+    tles = (data_dir / "dekart.tle.txt").read_text().splitlines(keepends=True)
+    near, far = tmp_path / "near.txt", tmp_path / "far.txt"
+    near.write_text("".join(tles[:3]))
+    far.write_text("".join(tles[3:]))
+    want = parameter_set(simulated, "--tle", near)
+    for given in (["--tle", far, "--tle", near], ["--tle", near, "--orbit-file", far], ["--orbit-file", near]):
+        assert parameter_set(simulated, *given)["parameters"] == want["parameters"]
+
+
 def test_units_and_column_names_of_the_file_are_mapped(nominal: Path, tmp_path: Path) -> None:
     want = parameter_set(nominal)["parameters"]
     samples = read_samples(nominal)
