@@ -1,0 +1,96 @@
+"""Whether the reference field excites every axis: measured on the field, because noise makes any reading full rank."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_core.errors import CoplanarFieldError, DeadAxisError, NoExcitationError, TooFewSamplesError
+
+Floats = NDArray[np.float64]
+
+MIN_SAMPLES: Final = 5
+"""Four unknowns on axis 3 and one residual."""
+MIN_SPREAD: Final = 1e-5
+"""Smallest spread of a field component, as a share of |B|: 0.4 nT at 40 uT, what a field model rounds to."""
+MIN_SIGNIFICANCE: Final = 5.0
+"""Standard errors that a gain must differ from zero by for its axis to be alive."""
+
+_AXIS_PARAMETERS: Final = (
+    ("bias_nt[0]", "scale[0]"),
+    ("bias_nt[1]", "scale[1]", "nonorthogonality_deg[0]"),
+    ("bias_nt[2]", "scale[2]", "nonorthogonality_deg[1]", "nonorthogonality_deg[2]"),
+)
+
+
+def require_excitation(b_base_nt: Floats, weights: Floats) -> None:
+    """Refuse reference fields that do not determine every row of T.
+
+    Raises
+    ------
+    TooFewSamplesError
+        Fewer than `MIN_SAMPLES` samples have weight.
+    NoExcitationError
+        A component of the field is constant.
+    CoplanarFieldError
+        The field vectors lie in a plane, through the origin or not.
+    """
+    used = b_base_nt[weights > 0]
+    if len(used) < MIN_SAMPLES:
+        raise TooFewSamplesError(f"{len(used)} usable samples, the vector methods need at least {MIN_SAMPLES}")
+    size = float(np.sqrt(np.mean(np.sum(used**2, axis=1))))
+    centred = (used - used.mean(axis=0)) / size
+    spread = np.sqrt(np.mean(centred**2, axis=0))
+    for axis in range(3):
+        if spread[axis] < MIN_SPREAD:
+            raise NoExcitationError(
+                f"axis {axis + 1}: the field along it varies by {spread[axis] * size:.3g} nT, "
+                f"needed {MIN_SPREAD * size:.3g} nT",
+                _AXIS_PARAMETERS[axis],
+            )
+    _, values, directions = np.linalg.svd(centred, full_matrices=False)
+    if values[2] / np.sqrt(len(used)) < MIN_SPREAD:
+        normal = directions[2] * (np.sign(directions[2][np.argmax(np.abs(directions[2]))]) or 1.0)
+        shown = ", ".join(f"{x:.4f}" for x in normal)
+        raise CoplanarFieldError(
+            f"the field stays in a plane with the normal ({shown}) in the base frame: axis 3 cannot be told from "
+            "axes 1 and 2, which alone would be determined",
+            _AXIS_PARAMETERS[2],
+        )
+
+
+def require_response(axis: int, row: Floats, significance: float, own_significance: float) -> None:
+    """Refuse an axis whose reading does not follow the field.
+
+    ``row``: its row of T; ``significance``: standard errors of the whole row, ``own_significance``: of the gain to its
+    own field component given the others.
+
+    Raises
+    ------
+    DeadAxisError
+    """
+    if significance < MIN_SIGNIFICANCE:
+        raise DeadAxisError(
+            f"axis {axis + 1} does not respond to the field: gain {float(np.linalg.norm(row)):.3g}, "
+            f"{significance:.2g} standard errors from zero, needed {MIN_SIGNIFICANCE:g}",
+            _AXIS_PARAMETERS[axis],
+        )
+    if own_significance < MIN_SIGNIFICANCE:
+        raise DeadAxisError(
+            f"axis {axis + 1} says nothing that the axes before it do not say: gain {abs(row[axis]):.3g} to its own "
+            f"component, {own_significance:.2g} standard errors from zero, needed {MIN_SIGNIFICANCE:g}",
+            _AXIS_PARAMETERS[axis],
+        )
+
+
+def axis_warnings(scale: Floats, angles_deg: Floats) -> list[str]:
+    """Return warnings of inverted axes and of axes that nearly lie in the span of the axes before them."""
+    warnings = [
+        f"inverted_axis: axis {i + 1} reads the field with the opposite sign" for i in np.flatnonzero(scale < 0)
+    ]
+    for i, angle in enumerate(angles_deg):
+        if abs(np.cos(np.deg2rad(angle))) < 0.1:
+            warnings.append(f"skewed_axis: e{i + 1} is {angle:.2f} deg, close to 90: its correction amplifies noise")
+    return warnings

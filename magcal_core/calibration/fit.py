@@ -1,0 +1,331 @@
+"""What goes into an estimator and what comes out: observations, settings, fit."""
+
+from __future__ import annotations
+
+import enum
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_core.calibration.result import Candidate, Parameters
+from magcal_core.errors import OptionError, OrbitMissingError, TelemetryValueError, TooFewSamplesError, UnitsError
+from magcal_core.samples import Samples
+from magcal_core.sensor import inverse_lower, matrix_of_parameters
+from magcal_core.units import NT_PER_UNIT
+
+Floats = NDArray[np.float64]
+
+TIME_REGRESSOR: Final = "time"
+"""Name of the regressor that is no column: hours since the first sample."""
+UNIT_RATIO: Final = (0.1, 10.0)
+"""Where median |h| / |B| may lie: outside, the unit is wrong."""
+
+
+class FitStatus(enum.StrEnum):
+    """How the search for the estimate ended."""
+
+    CONVERGED = "converged"
+    MAX_EVALUATIONS = "max_evaluations"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observations:
+    """The usable samples as an estimator sees them, in time order.
+
+    Attributes
+    ----------
+    t_s : shape (n,)
+        Seconds since the first sample.
+    h_nt : shape (n, 3)
+        Raw reading, nT.
+    b_nt : shape (n,)
+        Magnitude of the true field, nT.
+    b_base_nt : shape (n, 3), optional
+        True field in the magnetometer's base frame, nT.
+    weights : shape (n,)
+        Prior weight of each sample; zero equals absent.
+    regressors : name -> shape (n,)
+        Columns that may move the bias.
+    rate_nt_s : shape (n, m)
+        Rates of `b_nt` by each unknown of the clock (offset, s; drift, s/s): m = 0 where none is estimated.
+    rate_base_nt_s : shape (n, m, 3), optional
+        The same of `b_base_nt`.
+    """
+
+    t_s: Floats
+    h_nt: Floats
+    b_nt: Floats
+    b_base_nt: Floats | None
+    weights: Floats
+    regressors: Mapping[str, Floats] = field(default_factory=dict)
+    rate_nt_s: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    rate_base_nt_s: Floats | None = None
+
+    def __post_init__(self) -> None:
+        if self.rate_nt_s.size == 0:
+            object.__setattr__(self, "rate_nt_s", np.zeros((len(self.t_s), 0)))
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    @classmethod
+    def of(cls, samples: Samples, regressors: Sequence[str] = (), weights: Floats | None = None) -> Observations:
+        """Return the observations in ``samples`` whose flags let them be used.
+
+        Raises
+        ------
+        OrbitMissingError
+            The samples have no reference field.
+        TelemetryValueError
+            A value that is to be used is not finite, or no sample is usable.
+        UnitsError
+            The readings are out of all proportion to the field.
+        OptionError
+            A regressor is no column of the samples, or is constant.
+        """
+        prior = np.ones(len(samples)) if weights is None else np.asarray(weights, dtype=np.float64)
+        is_used = samples.is_used & (prior > 0)
+        if not is_used.any():
+            raise TooFewSamplesError("no usable sample")
+        used = samples.take(is_used)
+        b_base = used.b_ref_base_nt
+        magnitude = used.b_ref_magnitude_nt
+        if magnitude is None:
+            vector = b_base if b_base is not None else used.b_ref_gcrf_nt
+            if vector is None:
+                raise OrbitMissingError("the samples have no reference field")
+            magnitude = np.linalg.norm(vector, axis=1)
+        t_s = (used.t_utc - used.t_utc[0]) / np.timedelta64(1, "ns") * 1e-9
+        columns = {name: _regressor(used, name, t_s) for name in regressors}
+        made = cls(
+            t_s, _own(used.h_nt), _own(magnitude), None if b_base is None else _own(b_base), prior[is_used], columns
+        )
+        made._check()
+        return made
+
+    def _check(self) -> None:
+        columns = [("h_nt", self.h_nt), ("reference", self.b_nt), ("weights", self.weights), *self.regressors.items()]
+        if self.b_base_nt is not None:
+            columns.append(("reference", self.b_base_nt))
+        for name, column in columns:
+            bad = ~np.isfinite(column)
+            if bad.any():
+                raise TelemetryValueError(f"{name}: {np.count_nonzero(bad)} values are not finite")
+        if np.any(self.b_nt <= 0):
+            raise TelemetryValueError("reference: a field magnitude is not positive")
+        check_units(self.h_nt, self.b_nt)
+
+    def take(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Observations:
+        """Return the observations that ``index`` selects."""
+        return Observations(
+            self.t_s[index],
+            _own(self.h_nt[index]),
+            _own(self.b_nt[index]),
+            None if self.b_base_nt is None else _own(self.b_base_nt[index]),
+            self.weights[index],
+            {name: column[index] for name, column in self.regressors.items()},
+            _own(self.rate_nt_s[index]),
+            None if self.rate_base_nt_s is None else _own(self.rate_base_nt_s[index]),
+        )
+
+    def with_regressors(self, names: Sequence[str]) -> Observations:
+        """Return the observations with only the regressors ``names``, in that order."""
+        return replace(self, regressors={name: self.regressors[name] for name in names})
+
+    def require_vector(self) -> Floats:
+        """Return the true field in the base frame, shape (n, 3), nT.
+
+        Raises
+        ------
+        TelemetryValueError
+            The samples have none: attitude is unknown.
+        """
+        if self.b_base_nt is None:
+            raise TelemetryValueError(
+                "the vector methods need the attitude (qw..qz) or the field in the base frame (ref_bx, ref_by, ref_bz)"
+            )
+        return self.b_base_nt
+
+
+def _own(array: Floats) -> Floats:
+    """Return ``array`` as the compiled kernels want it: contiguous, writable, float64; one compiled form serves all."""
+    return np.require(array, np.float64, ["C", "W"])
+
+
+def _regressor(samples: Samples, name: str, t_s: Floats) -> Floats:
+    if name == TIME_REGRESSOR and name not in samples.housekeeping:
+        return t_s / 3600.0
+    if name not in samples.housekeeping:
+        known = ", ".join([TIME_REGRESSOR, *samples.housekeeping])
+        raise OptionError(f"no housekeeping column {name!r}; there are {known}")
+    column = np.asarray(samples.housekeeping[name], dtype=np.float64)
+    if np.isfinite(column).all() and np.ptp(column) == 0.0:
+        raise OptionError(f"regressor {name!r} is constant: it cannot be told from the bias")
+    return column
+
+
+def check_units(h_nt: Floats, b_nt: Floats) -> None:
+    """Refuse readings ``h_nt``, shape (n, 3), that no unit error short of a wrong one explains beside ``b_nt``.
+
+    Raises
+    ------
+    UnitsError
+        Median |h| / |B| is outside `UNIT_RATIO`; the message names the unit that would fit.
+    """
+    ratio = float(np.median(np.linalg.norm(h_nt, axis=1) / b_nt))
+    if UNIT_RATIO[0] <= ratio <= UNIT_RATIO[1]:
+        return
+    fits = [unit for unit, factor in NT_PER_UNIT.items() if unit != "nT" and 0.3 <= ratio * factor <= 3.0]
+    named = f"; a unit of {' or '.join(fits)} would fit" if fits else ""
+    raise UnitsError(
+        f"readings are {ratio:.3g} times the field, outside {UNIT_RATIO[0]}..{UNIT_RATIO[1]}: the unit is wrong{named}"
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FitSettings:
+    """How to fit: robust loss, noise model, noise of a component (nT, where known), start (for studies)."""
+
+    robust: str = "none"
+    noise_model: str = "none"
+    noise_nt: float | None = None
+    start: Parameters | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockScores:
+    """The estimating equations summed over short consecutive blocks: what honest errors are computed from.
+
+    Attributes
+    ----------
+    scores : shape (m, q)
+        Sum of J^T W r over each block, in the estimator's own unknowns.
+    normals : shape (m, q, q)
+        Sum of J^T W J over each block.
+    starts : shape (m,)
+        First sample of each block.
+    to_parameters : shape (p, q)
+        Derivative of the reported parameters by the estimator's own unknowns.
+    """
+
+    scores: Floats
+    normals: Floats
+    starts: NDArray[np.intp]
+    to_parameters: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """One estimate.
+
+    Attributes
+    ----------
+    parameters : Parameters
+    covariance : shape (p, p)
+        Formal covariance (white noise), in the order of `Parameters.names`.
+    residuals_nt : shape (n,) or (n, 3)
+        |corrected| - |model|, or corrected - model in the base frame.
+    weights : shape (n,)
+        Prior weight times robust weight.
+    sigma_nt : float
+        Standard deviation that the formal covariance is based on, nT.
+    robust, robust_scale_nt : str, float
+        The loss, and the robust standard deviation that it was scaled with, nT; 1 where there was none.
+    noise_nt : float
+        Noise of a component, nT, whose bias was removed; negative where none was.
+    clock : shape (m,)
+        Unknowns of the clock on top of the reference's: offset, s, and drift, s/s; the last rows of the covariance.
+    cost : float
+        Sum of squares (of robust losses) at the estimate, nT^2.
+    """
+
+    method: str
+    parameters: Parameters
+    covariance: Floats
+    residuals_nt: Floats
+    weights: Floats
+    sigma_nt: float
+    cost: float
+    status: FitStatus
+    evaluations: int
+    blocks: BlockScores
+    robust: str = "none"
+    robust_scale_nt: float = 1.0
+    noise_nt: float = -1.0
+    clock: Floats = field(default_factory=lambda: np.zeros(0))
+    candidates: tuple[Candidate, ...] = ()
+    warnings: tuple[str, ...] = ()
+    extras: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def formal_standard_errors(self) -> Parameters:
+        """Square roots of the diagonal of the formal covariance, in the shape of the parameters."""
+        return self.parameters.with_vector(np.sqrt(np.diag(self.covariance))[: len(self.parameters.names)])
+
+
+class Estimator(Protocol):
+    """One calibration method."""
+
+    @property
+    def name(self) -> str:
+        """Name of the method in options and records."""
+        ...
+
+    @property
+    def is_vector(self) -> bool:
+        """Whether the method needs the field in the base frame, and its residuals are vectors."""
+        ...
+
+    @property
+    def takes_regressors(self) -> bool:
+        """Whether the method can fit regressors and a clock offset."""
+        ...
+
+    def fit(self, observations: Observations, settings: FitSettings) -> Fit:
+        """Return the estimate.
+
+        Raises
+        ------
+        NotObservableError
+            The samples do not determine the parameters.
+        """
+        ...
+
+
+def corrected_nt(observations: Observations, parameters: Parameters) -> Floats:
+    """Return T^-1 (h - b - sum of regressor terms), shape (n, 3), nT, base frame."""
+    matrix = matrix_of_parameters(parameters.scale, np.deg2rad(parameters.nonorthogonality_deg))
+    offset = observations.h_nt - parameters.bias_nt
+    for name, coefficients in parameters.regressors.items():
+        offset = offset - observations.regressors[name][:, None] * coefficients
+    return np.asarray(offset @ inverse_lower(matrix).T)
+
+
+def residuals_nt(observations: Observations, parameters: Parameters, is_vector: bool) -> Floats:
+    """Return corrected - model, shape (n, 3), or |corrected| - |model|, shape (n,), nT."""
+    corrected = corrected_nt(observations, parameters)
+    if is_vector:
+        return corrected - observations.require_vector()
+    return np.asarray(np.linalg.norm(corrected, axis=1) - observations.b_nt)
+
+
+def block_starts(n: int, blocks: int = 256) -> NDArray[np.intp]:
+    """Return the first samples of at most ``blocks`` consecutive blocks of ``n`` samples, of nearly equal length."""
+    count = min(n, blocks)
+    return (np.arange(count, dtype=np.intp) * n) // count
+
+
+def block_moments(left: Floats, right: Floats, starts: NDArray[np.intp]) -> Floats:
+    """Return left^T right summed over each block, shape (m, c, d), from columns of shape (n, c) and (n, d)."""
+    edges = [*starts, len(left)]
+    return np.stack([left[i:j].T @ right[i:j] for i, j in itertools.pairwise(edges)])
+
+
+def scaled_inverse(normal: Floats) -> Floats:
+    """Return the inverse of a normal matrix, taken with a unit diagonal so that units cost no digits."""
+    size = np.sqrt(np.diag(normal))
+    return np.asarray(np.linalg.inv(normal / np.outer(size, size)) / np.outer(size, size))

@@ -1,0 +1,71 @@
+"""What the weak directions mean in words, and what would help: for the person who plans the next measurement."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_core.calibration.observability import SHORT_NAMES, WEAK_BELOW, ScalarInformation, taking_part
+
+Floats = NDArray[np.float64]
+
+_FLAT: Final = 0.08
+"""Spread of the field's direction, root mean square, below which it stands still along an axis: 5 deg."""
+
+
+def motion_words(directions: Floats) -> str:
+    """Return how the field moved in the sensor's frame; ``directions``: unit vectors, shape (n, 3)."""
+    centre = directions.mean(axis=0)
+    values, axes = np.linalg.eigh((directions - centre).T @ (directions - centre) / len(directions))
+    spreads = np.sqrt(np.maximum(values, 0.0))
+    if spreads[2] < _FLAT:
+        return "the field hardly turned in the sensor's frame"
+    axis = axes[:, 0] * (np.sign(axes[np.argmax(np.abs(axes[:, 0])), 0]) or 1.0)
+    named = f"({', '.join(f'{x:.2f}' for x in axis)})"
+    if spreads[0] < _FLAT:
+        along = abs(float(centre @ axis))
+        kind = "in a plane" if along < 2 * _FLAT else "on a cone"
+        return f"the field moved {kind} about the sensor direction {named}: the satellite turned about one axis only"
+    return f"the field moved least along the sensor direction {named}"
+
+
+def weak_words(information: ScalarInformation, directions: Floats) -> tuple[str, ...]:
+    """Return each weak direction of a scalar calibration in words."""
+    motion = motion_words(directions)
+    words = []
+    for direction, ratio in zip(information.weak, information.ratios, strict=True):
+        names = [SHORT_NAMES[i] for i in taking_part(direction[None, :])]
+        told = f"{' and '.join(names)} cannot be told apart" if len(names) > 1 else f"{names[0]} is poorly determined"
+        words.append(f"{told} (signal {ratio:.1f} times the noise): {motion}")
+    return tuple(words)
+
+
+def vector_weak_words(index: float, spreads: Floats, directions: Floats) -> tuple[str, ...]:
+    """Return the weak direction of a vector calibration in words, none where the index is good."""
+    if index >= WEAK_BELOW:
+        return ()
+    axis = directions[:, 0] * (np.sign(directions[np.argmax(np.abs(directions[:, 0])), 0]) or 1.0)
+    named = f"({', '.join(f'{x:.2f}' for x in axis)})"
+    return (f"the field hardly varied along {named} of the base frame: {spreads[0]:.1%} of its size",)
+
+
+def advice(index: float, coverage: float, directions: Floats, magnitudes_nt: Floats) -> tuple[str, ...]:
+    """Return what would help a weak calibration most; empty where nothing is lacking."""
+    found = []
+    centre = directions.mean(axis=0)
+    values, axes = np.linalg.eigh((directions - centre).T @ (directions - centre) / len(directions))
+    if np.sqrt(max(values[0], 0.0)) < 0.25:
+        axis = axes[:, 1]
+        named = ", ".join(f"{x:.2f}" for x in axis)
+        found.append(f"turn the satellite about the sensor direction ({named}) too, so that the field leaves its plane")
+    if coverage < 0.5:
+        found.append(f"cover more of the sphere: the field has been near {coverage:.0%} of the directions so far")
+    variation = float(magnitudes_nt.std() / magnitudes_nt.mean())
+    if index < WEAK_BELOW and variation < 0.1:
+        found.append(f"take in high and low latitudes: |B| varied by {variation:.0%} only")
+    if index < WEAK_BELOW:
+        readings = max(2, round((WEAK_BELOW / max(index, 0.1)) ** 2))
+        found.append(f"or average {readings} readings into one: the noise is what is in the way")
+    return tuple(found)

@@ -1,0 +1,174 @@
+"""How well the samples determine the parameters, and which ones they cannot tell apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_core.calibration.jacobians import matrix_jacobian
+from magcal_core.sensor import inverse_lower
+
+Floats = NDArray[np.float64]
+
+UNOBSERVABLE_BELOW: Final = 3.0
+WEAK_BELOW: Final = 10.0
+"""The index is a signal-to-noise ratio per sample of the weakest direction: below 3 noise fakes the excitation."""
+NOISE_ALONE_BELOW: Final = 1.5
+"""Noise-safe index that noise alone can reach: measured at most 0.7 where the samples determine nothing."""
+SIGMA_FLOOR: Final = 1e-7
+"""Smallest noise that is believed, as a share of the field: 4 pT at 40 uT, and the rounding of the moments."""
+PARAMETER_NAMES: Final = tuple(f"{g}[{i}]" for g in ("bias_nt", "scale", "nonorthogonality_deg") for i in range(3))
+SHORT_NAMES: Final = ("b1", "b2", "b3", "k1", "k2", "k3", "e1", "e2", "e3")
+
+_ROWS: Final = 65536
+_QUADRATIC: Final = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+_ROOT2: Final = np.sqrt(2.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScalarInformation:
+    """What the samples say of the nine parameters, free of any gauge.
+
+    Attributes
+    ----------
+    index : float
+        Smallest singular value per root n of [u_i u_j |x|/B, u_i] over (sigma/B): u the direction of the corrected
+        reading x, B the mean field.
+    noise_safe_index : float
+        The same ratio with the part that noise itself contributes taken away, in the direction where it is smallest; it
+        does not depend on the estimate's own scale, so that a parameter that ran away cannot feign excitation.
+    weak : shape (m, 9)
+        Directions below `WEAK_BELOW`, weakest first, as changes of (b / B, k / k, e in rad).
+    ratios : shape (m,)
+        Their indices.
+    """
+
+    index: float
+    noise_safe_index: float
+    weak: Floats
+    ratios: Floats
+
+    @property
+    def is_observable(self) -> bool:
+        """Whether the samples determine all nine parameters above the noise."""
+        return self.index >= UNOBSERVABLE_BELOW and self.noise_safe_index >= NOISE_ALONE_BELOW
+
+
+def scalar_information(x_nt: Floats, matrix: Floats, noise_nt: float) -> ScalarInformation:
+    """Return what corrected readings ``x_nt``, shape (n, 3), nT, determine of a sensor with ``matrix`` T.
+
+    ``noise_nt`` is the robust noise of one component of the reading, nT.
+
+    Notes
+    -----
+    The nine parameters are observable where no x^T E x + f^T x vanishes on all samples (`docs/calibration.md`). Noise
+    m in x makes such a form (2 E x + f).m; both moments are taken over the samples and compared.
+    """
+    mean_nt = float(np.mean(np.linalg.norm(x_nt, axis=1)))
+    lower = inverse_lower(matrix)
+    plain, signal, noise = _moments(x_nt / mean_nt, lower)
+    share = max(noise_nt / mean_nt, SIGMA_FLOOR)
+    values, vectors = np.linalg.eigh(plain)
+    indices = np.sqrt(np.maximum(values, 0.0)) / share
+    ratios, hidden = _generalised(signal, noise * share**2)
+    safe = np.sqrt(np.maximum(ratios - 1.0, 0.0))
+    if indices[0] >= UNOBSERVABLE_BELOW and safe[0] < NOISE_ALONE_BELOW:
+        indices, vectors = safe, hidden
+    is_weak = indices < WEAK_BELOW
+    weak = np.array([_as_parameters(v, matrix, lower) for v in vectors.T[is_weak]]).reshape(-1, 9)
+    return ScalarInformation(float(indices[0]), float(safe[0]), weak, indices[is_weak])
+
+
+def _moments(x: Floats, lower: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return, per sample: moments of the unit design, of the polynomials (x^T E x, f^T x), and of their noise."""
+    plain, signal, noise = np.zeros((9, 9)), np.zeros((9, 9)), np.zeros((9, 9))
+    for start in range(0, len(x), _ROWS):
+        part = x[start : start + _ROWS]
+        length = np.linalg.norm(part, axis=1)
+        rows = np.column_stack([part[:, i] * part[:, j] * (1.0 if i == j else _ROOT2) for i, j in _QUADRATIC] + [part])
+        signal += rows.T @ rows
+        rows /= length[:, None]
+        plain += rows.T @ rows
+        for axis in range(3):
+            slope = _slopes(part, lower[:, axis])
+            noise += slope.T @ slope
+    return plain / len(x), signal / len(x), noise / len(x)
+
+
+def _slopes(x: Floats, direction: Floats) -> Floats:
+    """Return the derivative of each polynomial along ``direction``, shape (n, 9)."""
+    quadratic = [(x[:, i] * direction[j] + x[:, j] * direction[i]) * (1.0 if i == j else _ROOT2) for i, j in _QUADRATIC]
+    return np.column_stack([*quadratic, np.broadcast_to(direction, x.shape)])
+
+
+def _generalised(signal: Floats, noise: Floats) -> tuple[Floats, Floats]:
+    """Return the ratios signal / noise, ascending, and their directions as columns."""
+    values, vectors = np.linalg.eigh(noise)
+    whitener = vectors / np.sqrt(np.maximum(values, 1e-14 * values[-1]))
+    ratios, inner = np.linalg.eigh(whitener.T @ signal @ whitener)
+    return ratios, whitener @ inner
+
+
+def _as_parameters(v: Floats, matrix: Floats, lower: Floats) -> Floats:
+    """Return the change of (b / B, k / k, e) that the form (E, f) stands for, of unit length.
+
+    Notes
+    -----
+    2 |x| dr = x^T E x + f^T x with E the symmetric part of K = dL T and f = -L db; K is lower triangular, dT = -T K.
+    """
+    k = np.zeros((3, 3))
+    for value, (i, j) in zip(v[:6], _QUADRATIC, strict=True):
+        k[j, i] = value if i == j else _ROOT2 * value
+    change = (-matrix @ k)[np.tril_indices(3)]
+    inner = matrix_jacobian(matrix) @ change
+    inner[:3] /= np.linalg.norm(matrix, axis=1)
+    direction = np.concatenate([-matrix @ v[6:], inner])
+    return np.asarray(direction / max(float(np.linalg.norm(direction)), 1e-300))
+
+
+def vector_information(b_nt: Floats, noise_nt: float) -> tuple[float, Floats, Floats]:
+    """Return the index of the vector methods and the field's weakest direction: (index, spreads, directions).
+
+    ``b_nt``: field in the base frame, shape (n, 3), nT; ``noise_nt``: noise of a component of the reading, nT. The
+    index is the smallest spread of the field, over all directions, in units of the noise; ``spreads``, shape (3,), as
+    shares of the mean field, ascending; ``directions``, shape (3, 3), as columns.
+    """
+    mean_nt = float(np.mean(np.linalg.norm(b_nt, axis=1)))
+    centred = (b_nt - b_nt.mean(axis=0)) / mean_nt
+    values, directions = np.linalg.eigh(centred.T @ centred / len(b_nt))
+    spreads = np.sqrt(np.maximum(values, 0.0))
+    return float(spreads[0]) / max(noise_nt / mean_nt, SIGMA_FLOOR), spreads, directions
+
+
+def taking_part(directions: Floats, share: float = 0.3) -> tuple[int, ...]:
+    """Return the parameters, as positions in `PARAMETER_NAMES`, that make up ``directions``, shape (m, 9)."""
+    if not len(directions):
+        return ()
+    largest = np.abs(directions).max(axis=1, keepdims=True)
+    return tuple(int(i) for i in np.flatnonzero((np.abs(directions) >= share * largest).any(axis=0)))
+
+
+def condition_number(normal: Floats) -> float:
+    """Return the condition number of a Jacobian with unit columns, from its normal matrix."""
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    values = np.linalg.eigvalsh(normal / np.outer(size, size))
+    return float(np.sqrt(values[-1] / max(values[0], 1e-16 * values[-1])))
+
+
+def sphere_coverage(directions: Floats, reach_deg: float = 15.0) -> float:
+    """Return the share of the sphere within ``reach_deg`` of one of ``directions``, unit vectors, shape (n, 3)."""
+    turns = np.arange(600) + 0.5
+    z = 1.0 - 2.0 * turns / 600
+    angle = turns * np.pi * (1.0 + np.sqrt(5.0))
+    radius = np.sqrt(1.0 - z**2)
+    grid = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), z])
+    near = np.zeros(600, dtype=bool)
+    # Directions a degree apart cover the same: one of each is enough, and a million cost as little as a thousand.
+    rounded = np.unique(np.round(directions * 50.0), axis=0) / 50.0
+    rounded /= np.maximum(np.linalg.norm(rounded, axis=1, keepdims=True), 1e-12)
+    for start in range(0, len(rounded), 4096):
+        near |= (grid @ rounded[start : start + 4096].T).max(axis=1) >= np.cos(np.deg2rad(reach_deg))
+    return float(near.mean())

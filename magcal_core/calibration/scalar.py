@@ -1,0 +1,320 @@
+"""Scalar calibration: attitude-free, from |B| only; Levenberg-Marquardt from a closed-form start [DEKART]_."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_core.calibration.fit import (
+    BlockScores,
+    Fit,
+    FitSettings,
+    FitStatus,
+    Observations,
+    block_starts,
+    residuals_nt,
+    scaled_inverse,
+)
+from magcal_core.calibration.jacobians import (
+    Standardised,
+    lower_of_theta,
+    parameters_from_rows,
+    rows_from_theta,
+    rows_jacobian,
+    theta_jacobian,
+    theta_of_parameters,
+)
+from magcal_core.calibration.kernels import LOSSES, TUNING, accumulate, residuals
+from magcal_core.calibration.linear_start import closed_form_starts
+from magcal_core.calibration.minimise import Minimum, minimise
+from magcal_core.calibration.observability import (
+    PARAMETER_NAMES,
+    SHORT_NAMES,
+    UNOBSERVABLE_BELOW,
+    condition_number,
+    scalar_information,
+    taking_part,
+)
+from magcal_core.calibration.weights import robust_sigma, weights_and_slopes
+from magcal_core.errors import NotObservableError
+
+Floats = NDArray[np.float64]
+
+MIN_SAMPLES: Final = 10
+"""Nine parameters and one residual: with fewer no error can be estimated."""
+_PLAIN: Final = -1.0
+_ROUNDS: Final = 30
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Task:
+    """The arrays of one scalar fit, and the evaluations that were spent on it."""
+
+    observations: Observations
+    z: Standardised
+
+    @classmethod
+    def of(cls, observations: Observations) -> _Task:
+        names = tuple(observations.regressors)
+        columns = [observations.regressors[name] for name in names]
+        return cls(observations, Standardised.of(names, columns, len(observations)))
+
+    @property
+    def size(self) -> int:
+        return 9 + 3 * len(self.z.names) + int(self.observations.rate_nt_s.shape[1])
+
+    @property
+    def floor(self) -> float:
+        return float(np.sqrt(np.sum(self.observations.weights * self.observations.b_nt**2)))
+
+    def minimise(self, theta: Floats, loss: int = 0, bend: float = 1.0, sigma: float = _PLAIN) -> Minimum:
+        o = self.observations
+
+        def evaluate(at: Floats, normal: Floats, gradient: Floats) -> float:
+            return float(
+                accumulate(
+                    o.h_nt, o.b_nt, o.weights, self.z.columns, o.rate_nt_s, at, loss, bend, sigma, normal, gradient
+                )
+            )
+
+        return minimise(evaluate, theta, self.floor)
+
+    def residuals(self, theta: Floats, sigma: float = _PLAIN) -> Floats:
+        o = self.observations
+        out = np.empty(len(o))
+        residuals(o.h_nt, o.b_nt, self.z.columns, o.rate_nt_s, theta, sigma, out)
+        return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solution:
+    """Where the search ended, with the loss and the noise that it ended under."""
+
+    minimum: Minimum
+    evaluations: int
+    loss: int
+    bend: float
+    sigma: float
+
+    def after(self, minimum: Minimum, bend: float, sigma: float) -> _Solution:
+        return _Solution(minimum, self.evaluations + minimum.evaluations, self.loss, bend, sigma)
+
+
+@dataclass(frozen=True, slots=True)
+class ScalarFit:
+    """Least squares of |T^-1 (h - b)| - |B|, with robust losses, noise model, regressors and clock offset."""
+
+    name: str = "scalar"
+    is_vector: bool = False
+    takes_regressors: bool = True
+
+    def fit(self, observations: Observations, settings: FitSettings) -> Fit:
+        """Return the estimate.
+
+        Raises
+        ------
+        NotObservableError
+            The samples do not determine the parameters; the message names them and the condition number.
+        """
+        require_samples(observations)
+        task = _Task.of(observations)
+        plain = _plain(task, settings)
+        require_observable(task.observations, plain.minimum.theta, plain.minimum.normal)
+        solution = _refined(task, plain, settings)
+        return _assemble(self.name, task, solution)
+
+
+def require_samples(observations: Observations) -> None:
+    """Refuse fewer samples than the nine parameters and one residual need.
+
+    Raises
+    ------
+    NotObservableError
+    """
+    count = int(np.count_nonzero(observations.weights > 0))
+    wanted = MIN_SAMPLES + 3 * len(observations.regressors) + observations.rate_nt_s.shape[1]
+    if count < wanted:
+        raise NotObservableError(
+            f"{count} usable samples, the fit needs at least {wanted}: none of {', '.join(SHORT_NAMES)} can be told; "
+            "condition number infinite",
+            PARAMETER_NAMES,
+        )
+
+
+def require_observable(observations: Observations, theta: Floats, normal: Floats) -> None:
+    """Refuse samples that do not excite all nine parameters above the noise.
+
+    Raises
+    ------
+    NotObservableError
+        `ScalarInformation` is below `UNOBSERVABLE_BELOW`, by either index.
+    """
+    lower = lower_of_theta(theta)
+    matrix, bias_nt, _ = rows_from_theta(theta, 0)
+    if not np.isfinite(matrix).all():
+        raise NotObservableError("no ellipsoid fits the readings: none of the parameters can be told", PARAMETER_NAMES)
+    x_nt = (observations.h_nt - bias_nt) @ lower.T
+    length = np.linalg.norm(x_nt, axis=1)
+    gain = np.linalg.norm((x_nt / length[:, None]) @ lower, axis=1)
+    used = observations.weights > 0
+    dof = max(int(np.count_nonzero(used)) - 9, 1)
+    noise_nt = robust_sigma(((length - observations.b_nt) / gain)[used]) * np.sqrt((dof + 9) / dof)
+    information = scalar_information(x_nt[used], matrix, noise_nt)
+    if information.is_observable:
+        return
+    named = taking_part(information.weak[information.ratios < UNOBSERVABLE_BELOW]) or tuple(range(9))
+    raise NotObservableError(
+        f"the samples do not determine {', '.join(SHORT_NAMES[i] for i in named)}: "
+        f"observability index {information.index:.2g}, needed {UNOBSERVABLE_BELOW:g}; condition number {condition_number(normal[:9, :9]):.3g}",
+        [PARAMETER_NAMES[i] for i in named],
+    )
+
+
+def _plain(task: _Task, settings: FitSettings) -> _Solution:
+    """Return the plain least-squares minimum: from the best closed form, and from a given start where there is one."""
+    o = task.observations
+    extra = np.zeros(task.size - 9)
+    starts = [np.concatenate([start, extra]) for start in closed_form_starts(o.h_nt, o.b_nt, o.weights)]
+    costs = [float(np.sum(o.weights * task.residuals(start) ** 2)) for start in starts]
+    best = task.minimise(starts[int(np.argmin(costs))])
+    evaluations = best.evaluations
+    if settings.start is not None:
+        theta = theta_of_parameters(settings.start, task.z)
+        given = task.minimise(np.concatenate([theta, np.zeros(task.size - theta.size)]))
+        evaluations += given.evaluations
+        if given.cost < best.cost:
+            best = given
+    return _Solution(_right_handed(task, best), evaluations, 0, 1.0, _PLAIN)
+
+
+def _right_handed(task: _Task, minimum: Minimum) -> Minimum:
+    """Return the same minimum with a positive diagonal of L: |x| does not see the sign of a row."""
+    theta = minimum.theta
+    signs = np.where(theta[[0, 2, 5]] < 0, -1.0, 1.0)
+    if np.all(signs > 0):
+        return minimum
+    k = len(task.z.names)
+    flip = np.concatenate([signs[[0, 1, 1, 2, 2, 2]], np.tile(signs, k + 1), np.ones(theta.size - 9 - 3 * k)])
+    return replace(
+        minimum, theta=theta * flip, normal=minimum.normal * np.outer(flip, flip), gradient=minimum.gradient * flip
+    )
+
+
+def _refined(task: _Task, plain: _Solution, settings: FitSettings) -> _Solution:
+    """Return the minimum under the robust loss and the noise model that ``settings`` ask for."""
+    is_white, is_robust = settings.noise_model == "white", settings.robust != "none"
+    solution = plain
+    if is_robust:
+        # The convex loss first: from there the redescending ones cannot fall into a neighbour's minimum.
+        for name in dict.fromkeys(("soft_l1", settings.robust)):
+            solution = _iterated(task, replace(solution, loss=LOSSES[name]), is_white, settings.noise_nt)
+    elif is_white:
+        solution = _iterated(task, solution, True, settings.noise_nt)
+    return replace(solution, minimum=_right_handed(task, solution.minimum))
+
+
+def _iterated(task: _Task, solution: _Solution, is_white: bool, noise_nt: float | None) -> _Solution:
+    """Return the minimum under the solution's loss, with scale and noise estimated anew until they stand still."""
+    floor = 1e-9 * task.floor / np.sqrt(len(task.observations))
+    used = task.observations.weights > 0
+    previous = np.inf
+    for _ in range(_ROUNDS):
+        theta = solution.minimum.theta
+        sigma = _PLAIN
+        if is_white:
+            sigma = noise_nt if noise_nt is not None else _noise(task, theta, solution, floor)
+        scale = robust_sigma(task.residuals(theta, sigma)[used], floor) if solution.loss else max(sigma, floor)
+        if abs(scale - previous) <= 1e-9 * scale:
+            break
+        previous = scale
+        bend = TUNING[solution.loss] * scale
+        solution = solution.after(task.minimise(theta, solution.loss, bend, sigma), bend, sigma)
+        if not is_white and not solution.loss:
+            break
+    return solution
+
+
+def _noise(task: _Task, theta: Floats, solution: _Solution, floor: float) -> float:
+    """Return the noise of a component, nT, that the geometric residuals show."""
+    weights = task.observations.weights
+    r = task.residuals(theta, max(solution.sigma, 0.0))
+    if solution.loss:
+        return robust_sigma(r[weights > 0], floor)
+    dof = int(np.count_nonzero(weights > 0)) - task.size
+    return max(float(np.sqrt(np.sum(weights * r**2) / dof)), floor)
+
+
+def fit_at(name: str, observations: Observations, theta: Floats, guide: Fit) -> Fit:
+    """Return the fit, with its formal covariance, at unknowns that another search found under ``guide``'s weights."""
+    task = _Task.of(observations)
+    loss, sigma = LOSSES[guide.robust], guide.noise_nt
+    bend = TUNING[loss] * guide.robust_scale_nt
+    o, p = observations, theta.size
+    normal, gradient = np.empty((p, p)), np.empty(p)
+    cost = accumulate(
+        o.h_nt, o.b_nt, o.weights, task.z.columns, o.rate_nt_s, theta, loss, bend, sigma, normal, gradient
+    )
+    minimum = Minimum(theta, float(cost), normal, gradient, 1, True)
+    return _assemble(name, task, _Solution(minimum, 1, loss, bend, sigma))
+
+
+def _assemble(name: str, task: _Task, solution: _Solution) -> Fit:
+    minimum, k = solution.minimum, len(task.z.names)
+    robust = next(key for key, number in LOSSES.items() if number == solution.loss)
+    r = task.residuals(minimum.theta, solution.sigma)
+    prior = task.observations.weights
+    dof = int(np.count_nonzero(prior > 0)) - task.size
+    weight, slope = weights_and_slopes(r, robust, solution.bend / TUNING[solution.loss])
+    # Variance of an M-estimate: mean psi^2 / (mean psi')^2 in place of the mean square.
+    softening = float(np.sum(prior * weight) / max(np.sum(prior * slope), 0.05 * np.sum(prior)))
+    sigma = float(np.sqrt(np.sum(prior * (weight * r) ** 2) / dof))
+    own = _own_jacobian(task, minimum.theta)
+    inverse = scaled_inverse(minimum.normal) * softening
+    covariance = own @ inverse @ own.T * sigma**2 * softening / (np.sum(prior * weight) / np.sum(prior))
+    matrix, bias_nt, slopes_nt = rows_from_theta(minimum.theta, k)
+    parameters = parameters_from_rows(matrix, bias_nt, slopes_nt, task.z)
+    clock = minimum.theta[9 + 3 * k :]
+    if clock.size:
+        parameters = replace(parameters, time_offset_s=float(clock[0]))
+    return Fit(
+        method=name,
+        parameters=parameters,
+        covariance=covariance,
+        residuals_nt=residuals_nt(task.observations, parameters, is_vector=False),
+        weights=prior * weight,
+        sigma_nt=sigma,
+        robust=robust,
+        robust_scale_nt=solution.bend / TUNING[solution.loss],
+        noise_nt=solution.sigma,
+        cost=minimum.cost,
+        status=FitStatus.CONVERGED if minimum.is_converged else FitStatus.MAX_EVALUATIONS,
+        evaluations=solution.evaluations,
+        clock=clock,
+        blocks=_blocks(task, solution, own, softening),
+    )
+
+
+def _own_jacobian(task: _Task, theta: Floats) -> Floats:
+    """Return the derivative of the reported parameters by (L, c, d, clock)."""
+    k, m = len(task.z.names), task.observations.rate_nt_s.shape[1]
+    inner = 9 + 3 * k
+    jacobian = np.zeros((inner + m, inner + m))
+    matrix, _, _ = rows_from_theta(theta, k)
+    jacobian[:inner, :inner] = rows_jacobian(matrix, task.z) @ theta_jacobian(theta, k)
+    jacobian[inner:, inner:] = np.eye(m)
+    return jacobian
+
+
+def _blocks(task: _Task, solution: _Solution, own: Floats, softening: float) -> BlockScores:
+    o, p = task.observations, task.size
+    starts = block_starts(len(o))
+    scores, normals = np.empty((len(starts), p)), np.empty((len(starts), p, p))
+    for i, (start, stop) in enumerate(zip(starts, [*starts[1:], len(o)], strict=True)):
+        part = slice(start, stop)
+        arrays = (o.h_nt[part], o.b_nt[part], o.weights[part], task.z.columns[part], o.rate_nt_s[part])
+        theta, loss, bend, sigma = solution.minimum.theta, solution.loss, solution.bend, solution.sigma
+        accumulate(*arrays, theta, loss, bend, sigma, normals[i], scores[i])
+    return BlockScores(scores, normals / softening, starts, own)

@@ -1,0 +1,48 @@
+"""Cross-validation over contiguous blocks of time: what a calibration is worth on data that it has not seen."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_core.calibration.fit import Estimator, FitSettings, Observations, residuals_nt
+from magcal_core.errors import EstimationError
+
+Floats = NDArray[np.float64]
+
+FOLDS: Final = 6
+"""Contiguous blocks of time, equally long, each left out in turn."""
+
+
+def folds_of(t_s: Floats) -> list[NDArray[np.intp]]:
+    """Return the samples of each block of time; blocks that a gap leaves empty are dropped."""
+    span = max(float(t_s[-1] - t_s[0]), 1e-9)
+    block = np.minimum((FOLDS * (t_s - t_s[0]) / span).astype(np.intp), FOLDS - 1)
+    folds = [np.flatnonzero(block == k) for k in range(FOLDS)]
+    return [fold for fold in folds if fold.size]
+
+
+def held_out_residuals_nt(estimator: Estimator, observations: Observations, settings: FitSettings) -> Floats | None:
+    """Return the residual of every sample under the fit to the other blocks, shape (n,) or (n, 3), nT.
+
+    None where the rest of the data does not determine the parameters once a block is left out.
+    """
+    n = len(observations)
+    parts = []
+    for fold in folds_of(observations.t_s):
+        rest = np.ones(n, dtype=bool)
+        rest[fold] = False
+        try:
+            fit = estimator.fit(observations.take(rest), settings)
+        except EstimationError:
+            return None
+        parts.append(residuals_nt(observations.take(fold), fit.parameters, estimator.is_vector))
+    return np.concatenate(parts)
+
+
+def rms_nt(residuals: Floats, weights: Floats) -> float:
+    """Return the root mean square, over all components, of the residuals of samples that have weight."""
+    used = residuals[weights > 0]
+    return float(np.sqrt(np.mean(used**2)))

@@ -1,0 +1,114 @@
+"""The clock between telemetry and orbit: its offset (and drift), estimated together with the sensor's parameters.
+
+Notes
+-----
+A TLE that is some weeks off is wrong mostly along track, which is an error of time. The reference at t - tau - delta is
+B(t - tau) - delta dB/dt: delta is one more unknown of the fit, and the reference is computed anew until it vanishes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations
+from magcal_core.calibration.uncertainty import honest_covariance
+
+Floats = NDArray[np.float64]
+
+AUTO_AGE_DAYS: Final = 3.0
+"""Age of an orbit from which on ``auto`` looks for an offset."""
+SIGNIFICANCE: Final = 0.01
+"""Probability of a false offset that the test allows."""
+_ROUNDS: Final = 15
+_SMALL_S: Final = 1e-4
+_RATE_STEP_S: Final = 0.5
+LARGEST_S: Final = 3600.0
+
+At = Callable[[Floats], Observations]
+"""Shift of each sample's time, s, shape (n,) -> observations with the reference at the shifted times."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClockFit:
+    """A fit with its clock: offset and, where asked for, drift, each with its honest standard error.
+
+    ``p_value``: probability of an offset so large where there is none.
+    """
+
+    fit: Fit
+    observations: Observations
+    offset_s: float
+    offset_error_s: float
+    drift_s_per_day: float | None
+    drift_error_s_per_day: float | None
+    p_value: float
+    is_converged: bool
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether the data show an offset."""
+        return self.is_converged and self.p_value < SIGNIFICANCE
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the clock as the records have it."""
+        return {
+            "offset_s": self.offset_s,
+            "standard_error_s": self.offset_error_s,
+            "drift_s_per_day": self.drift_s_per_day,
+            "drift_standard_error_s_per_day": self.drift_error_s_per_day,
+            "p_value": self.p_value,
+            "is_significant": self.is_significant,
+        }
+
+
+def fit_with_clock(estimator: Estimator, at: At, t_s: Floats, settings: FitSettings, *, has_drift: bool) -> ClockFit:
+    """Return the fit with the clock's offset (and drift) among its unknowns; ``t_s``: time of each sample, s, (n,)."""
+    from scipy.special import ndtr
+
+    middle = 0.5 * float(t_s[0] + t_s[-1])
+    shapes = np.stack([np.ones_like(t_s), t_s - middle]) if has_drift else np.ones((1, len(t_s)))
+    clock = np.zeros(len(shapes))
+    is_converged, reach_s = False, np.ptp(t_s) / 2
+    for _ in range(_ROUNDS):
+        observations = _with_rates(at, clock @ shapes, shapes)
+        fit = estimator.fit(observations, settings)
+        clock = clock + fit.clock
+        largest = float(np.abs(fit.clock[0]) + (np.abs(fit.clock[1]) * reach_s if has_drift else 0.0))
+        if abs(clock[0]) > LARGEST_S:
+            break
+        if largest < _SMALL_S:
+            is_converged = True
+            break
+    observations = _with_rates(at, clock @ shapes, shapes)
+    fit = estimator.fit(observations, settings)
+    clock = clock + fit.clock
+    honest = honest_covariance(fit.blocks, fit.covariance, len(observations))
+    errors = np.sqrt(np.diag(honest.covariance))[-len(clock) :]
+    score = abs(clock[0]) / max(errors[0], 1e-300)
+    fit = replace(fit, parameters=replace(fit.parameters, time_offset_s=float(clock[0])))
+    return ClockFit(
+        fit=fit,
+        observations=observations,
+        offset_s=float(clock[0]),
+        offset_error_s=float(errors[0]),
+        drift_s_per_day=float(clock[1] * 86400.0) if has_drift else None,
+        drift_error_s_per_day=float(errors[1] * 86400.0) if has_drift else None,
+        p_value=float(2.0 * ndtr(-score)),
+        is_converged=is_converged,
+    )
+
+
+def _with_rates(at: At, shift_s: Floats, shapes: Floats) -> Observations:
+    """Return the observations at ``shift_s`` with the reference's rate by each unknown of the clock."""
+    here, later, sooner = at(shift_s), at(shift_s + _RATE_STEP_S), at(shift_s - _RATE_STEP_S)
+    rate = (sooner.b_nt - later.b_nt) / (2 * _RATE_STEP_S)
+    base = None
+    if here.b_base_nt is not None and sooner.b_base_nt is not None and later.b_base_nt is not None:
+        slope = (sooner.b_base_nt - later.b_base_nt) / (2 * _RATE_STEP_S)
+        base = np.ascontiguousarray(slope[:, None, :] * shapes.T[:, :, None])
+    return replace(here, rate_nt_s=np.ascontiguousarray(rate[:, None] * shapes.T), rate_base_nt_s=base)

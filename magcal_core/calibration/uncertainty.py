@@ -1,0 +1,97 @@
+"""Honest errors: covariance that holds under correlated and heteroscedastic residuals, from blocks of the data.
+
+Notes
+-----
+V = I^-1 (sum over blocks of s s^T) I^-1 with s the block's sum of J r (`docs/calibration.md`, honest errors). Each
+block is weighed as if it had been left out: (I - I_block)^-1 s in place of I^-1 s, so that a block that the estimate
+hangs on shows. The block length comes from the correlation of the parameters' own scores, not from that of the
+residuals: on a tumbling satellite a slow change of the bias makes a fast residual.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_core.calibration.fit import BlockScores, scaled_inverse
+
+Floats = NDArray[np.float64]
+
+MIN_BLOCKS: Final = 8
+"""Fewer blocks leave the covariance to chance."""
+_CORRELATED: Final = 0.2
+"""Correlation of scores below which they pass for independent."""
+_BLOCK_OVER_CORRELATION: Final = 2.5
+"""Block length over the lag at which the correlation is gone: a block must be longer, its edges are correlated."""
+_T_95: Final = (
+    12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131,
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HonestCovariance:
+    """Covariance of the parameters, in the order of `Parameters.names`, and the blocks it was taken from.
+
+    The covariance contains Student's t: 1.96 standard errors are 95 % although the blocks are few.
+    """
+
+    covariance: Floats
+    blocks: int
+    block_samples: int
+
+
+def honest_covariance(scores: BlockScores, formal: Floats, samples: int) -> HonestCovariance:
+    """Return the block-sandwich covariance; no parameter's variance is taken below its ``formal`` one."""
+    count = len(scores.starts)
+    per_block = _block_length(scores)
+    edges = np.arange(0, count, per_block)
+    if len(edges) > MIN_BLOCKS and count - edges[-1] < per_block / 2:
+        edges = edges[:-1]
+    sums = np.add.reduceat(scores.scores, edges, axis=0)
+    normals = np.add.reduceat(scores.normals, edges, axis=0)
+    total = scores.normals.sum(axis=0)
+    shifts = np.stack([_left_out(total - normal, s) for normal, s in zip(normals, sums, strict=True)])
+    m = len(edges)
+    inner = shifts.T @ shifts * (m - 1) / m * (student_95(m - 1) / 1.96) ** 2
+    covariance = scores.to_parameters @ inner @ scores.to_parameters.T
+    raise_by = np.sqrt(np.maximum(1.0, np.diag(formal) / np.maximum(np.diag(covariance), 1e-300)))
+    return HonestCovariance(covariance * np.outer(raise_by, raise_by), m, max(1, round(samples * per_block / count)))
+
+
+def _left_out(normal: Floats, score: Floats) -> Floats:
+    """Return how far the estimate moves when a block of ``score`` is left out of what leaves ``normal``."""
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = normal / np.outer(size, size)
+    values, vectors = np.linalg.eigh(scaled)
+    inverse = vectors / np.maximum(values, 1e-12) @ vectors.T
+    return np.asarray(inverse @ (score / size) / size)
+
+
+def _block_length(scores: BlockScores) -> int:
+    """Return how many of the short blocks make one whose sum is nearly independent of its neighbours'."""
+    inverse = scaled_inverse(scores.normals.sum(axis=0))
+    series = scores.scores @ inverse @ scores.to_parameters.T
+    series = series - series.mean(axis=0)
+    count = len(series)
+    longest = max(1, count // MIN_BLOCKS)
+    lags = min(count - 1, longest + 1)
+    size = np.maximum(np.sum(series**2, axis=0), 1e-300)
+    correlation = [float(np.mean(np.sum(series[lag:] * series[:-lag], axis=0) / size)) for lag in range(1, lags + 1)]
+    noise = 1.0 / np.sqrt(count)
+    for lag, value in enumerate(correlation, start=1):
+        if value < max(_CORRELATED, noise):
+            return 1 if lag == 1 and value < noise else min(longest, max(1, round(_BLOCK_OVER_CORRELATION * lag)))
+    return longest
+
+
+def student_95(freedom: int) -> float:
+    """Return Student's t for a two-sided 95 % interval; tabulated to 15 degrees of freedom, by series beyond."""
+    if freedom < 1:
+        return _T_95[0]
+    if freedom <= len(_T_95):
+        return _T_95[freedom - 1]
+    z = 1.959964
+    return z + (z**3 + z) / (4 * freedom) + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * freedom**2)

@@ -1,0 +1,28 @@
+"""Robust scale and robust weights: what iteratively reweighted least squares needs, for every estimator."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_core.calibration.kernels import LOSSES, TUNING, loss_terms
+
+Floats = NDArray[np.float64]
+
+GAUSSIAN_MAD: Final = 1.4826
+"""Standard deviation of Gaussian noise over its median absolute deviation."""
+
+
+def robust_sigma(residuals: Floats, floor: float = 0.0) -> float:
+    """Return 1.4826 times the median of |``residuals``|, at least ``floor``, in the residuals' unit."""
+    return max(GAUSSIAN_MAD * float(np.median(np.abs(residuals))), floor)
+
+
+def weights_and_slopes(residuals: Floats, robust: str, sigma: float) -> tuple[Floats, Floats]:
+    """Return the weight psi(r)/r and the slope psi'(r) of each of ``residuals``, shape (n,), under a loss."""
+    loss = LOSSES[robust]
+    weight, slope = np.empty(residuals.size), np.empty(residuals.size)
+    loss_terms(np.ascontiguousarray(residuals) / (TUNING[loss] * sigma), loss, weight, slope)
+    return weight, slope

@@ -1,0 +1,171 @@
+"""The options of a calibration: their names, their defaults, what each may be."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final, TypedDict
+
+from magcal_core.errors import Fault, OptionError
+
+METHODS: Final = ("scalar", "scalar-hooke-jeeves", "vector", "vector-closed-form")
+ORBIT_MODELS: Final = ("sgp4", "numerical")
+TIME_OFFSETS: Final = ("auto", "none", "estimate")
+ROBUST_LOSSES: Final = ("none", "huber", "soft_l1", "cauchy", "tukey")
+NOISE_MODELS: Final = ("none", "white")
+
+
+class OptionValues(TypedDict, total=False):
+    """Options as keyword arguments or as the body of a job."""
+
+    method: str
+    field: str
+    field_max_degree: int | None
+    orbit: str
+    time_offset: str
+    time_drift: bool
+    regressors: str | tuple[str, ...]
+    robust: str
+    noise_model: str
+    noise_nt: float | None
+    max_orbit_age_days: float
+    bootstrap: int
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationOptions:
+    """How to calibrate.
+
+    Attributes
+    ----------
+    method : one of `METHODS`.
+    field, field_max_degree : field model by name; the degree that it is cut at, None for its own.
+    orbit : ``sgp4`` as the elements are meant, or ``numerical`` integration from them.
+    time_offset : ``none``, ``estimate``, or ``auto``: where the orbit is more than 3 d from the data and they show one.
+    time_drift : estimate a drift of the clock beside its offset.
+    regressors : housekeeping columns that move the bias (``time``: hours since the first sample), or ``auto``.
+    robust, noise_model : loss and noise model.
+    noise_nt : noise of one component, nT, where it is known.
+    max_orbit_age_days : orbits further from the data are refused.
+    bootstrap : replicates of the block bootstrap, 0 for none; ``seed`` makes them repeatable.
+
+    Raises
+    ------
+    OptionError
+        A value that the option cannot have; ``faults`` name the options.
+    """
+
+    method: str = "scalar"
+    field: str = "igrf"
+    field_max_degree: int | None = None
+    orbit: str = "sgp4"
+    time_offset: str = "auto"
+    time_drift: bool = False
+    regressors: str | tuple[str, ...] = ()
+    robust: str = "none"
+    noise_model: str = "none"
+    noise_nt: float | None = None
+    max_orbit_age_days: float = 14.0
+    bootstrap: int = 0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if isinstance(self.regressors, list):
+            object.__setattr__(self, "regressors", tuple(self.regressors))
+        faults = [
+            Fault(name, why, repr(getattr(self, name)))
+            for name, check in _CHECKS.items()
+            if (why := check(getattr(self, name))) is not None
+        ]
+        if faults:
+            raise OptionError("; ".join(f"{fault.where}: {fault.why}" for fault in faults), faults)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, object]) -> CalibrationOptions:
+        """Return the options that ``values`` name; the others keep their defaults.
+
+        Raises
+        ------
+        OptionError
+            An unknown name, or a value that the option cannot have.
+        """
+        known = [field.name for field in dataclasses.fields(cls)]
+        unknown = [
+            Fault(str(name), f"unknown option; known are {', '.join(known)}") for name in values if name not in known
+        ]
+        if unknown:
+            raise OptionError("; ".join(f"{fault.where}: {fault.why}" for fault in unknown), unknown)
+        return cls(**values)  # type: ignore[arg-type]
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the options as the records of the service have them."""
+        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return values | {"regressors": self.regressors if isinstance(self.regressors, str) else list(self.regressors)}
+
+
+_Check = Callable[[object], str | None]
+
+
+def _one_of(words: tuple[str, ...]) -> _Check:
+    def check(value: object) -> str | None:
+        return None if isinstance(value, str) and value in words else f"want one of {', '.join(words)}"
+
+    return check
+
+
+def _field_name(value: object) -> str | None:
+    from magcal_core.field.models import FIELD_MODELS
+
+    return None if isinstance(value, str) and value in FIELD_MODELS else f"want one of {', '.join(FIELD_MODELS)}"
+
+
+def _number(lowest: float, highest: float, unit: str, *, may_be_none: bool = False) -> _Check:
+    def check(value: object) -> str | None:
+        if may_be_none and value is None:
+            return None
+        is_good = isinstance(value, (int, float)) and not isinstance(value, bool) and lowest <= value <= highest
+        return None if is_good else f"want a number from {lowest:g} to {highest:g} {unit}".rstrip()
+
+    return check
+
+
+def _whole(lowest: int, highest: int, *, may_be_none: bool = False) -> _Check:
+    def check(value: object) -> str | None:
+        if may_be_none and value is None:
+            return None
+        is_good = isinstance(value, int) and not isinstance(value, bool) and lowest <= value <= highest
+        return None if is_good else f"want a whole number from {lowest} to {highest}"
+
+    return check
+
+
+def _flag(value: object) -> str | None:
+    return None if isinstance(value, bool) else "want true or false"
+
+
+def _regressors(value: object) -> str | None:
+    if value == "auto":
+        return None
+    is_good = isinstance(value, tuple) and all(isinstance(name, str) and name for name in value)
+    if not is_good or not isinstance(value, tuple):
+        return "want a list of column names, or auto"
+    return None if len(set(value)) == len(value) else "a column is named twice"
+
+
+_CHECKS: Final[Mapping[str, _Check]] = {
+    "method": _one_of(METHODS),
+    "field": _field_name,
+    "field_max_degree": _whole(1, 13, may_be_none=True),
+    "orbit": _one_of(ORBIT_MODELS),
+    "time_offset": _one_of(TIME_OFFSETS),
+    "time_drift": _flag,
+    "regressors": _regressors,
+    "robust": _one_of(ROBUST_LOSSES),
+    "noise_model": _one_of(NOISE_MODELS),
+    "noise_nt": _number(1e-6, 1e6, "nT", may_be_none=True),
+    "max_orbit_age_days": _number(0.0, 36525.0, "d"),
+    "bootstrap": _whole(0, 10_000),
+    "seed": _whole(0, 2**63 - 1),
+}

@@ -1,0 +1,251 @@
+"""The one way from telemetry to a result: reference, estimate, honest errors, cross-validation, verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, Unpack
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_core.calibration import ESTIMATORS
+from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations, corrected_nt
+from magcal_core.calibration.judgement import Circumstances, Judgement, extras_of, judgement_of
+from magcal_core.calibration.result import Calibration, ResidualTable
+from magcal_core.calibration.time_offset import AUTO_AGE_DAYS, ClockFit, fit_with_clock
+from magcal_core.errors import OptionError
+from magcal_core.options import CalibrationOptions, OptionValues
+from magcal_core.orbit import Orbit
+from magcal_core.referenced import Referenced
+from magcal_core.samples import Samples
+from magcal_core.sensor import SensorModel
+
+__all__ = ["CalibrationOptions", "calibrate"]
+
+Floats = NDArray[np.float64]
+Progress = Callable[[float], None]
+
+_OUTLIER: Final = 6.0
+"""Robust standard deviations beyond which a residual is an outlier worth a warning."""
+
+
+def calibrate(
+    samples: Samples,
+    orbits: Sequence[Orbit] = (),
+    options: CalibrationOptions | None = None,
+    *,
+    progress: Progress | None = None,
+    **overrides: Unpack[OptionValues],
+) -> Calibration:
+    """Return the calibration of one magnetometer from its telemetry.
+
+    Parameters
+    ----------
+    samples : Samples
+        Telemetry, in any order.
+    orbits : sequence of Orbit
+        Where the satellite was; not needed where the telemetry brings a reference field or a position.
+    options : CalibrationOptions
+        How to calibrate; ``overrides`` replace single ones, by the names of `CalibrationOptions`.
+    progress : callable
+        Is told the share of the work that is done, from 0 to 1.
+
+    Raises
+    ------
+    InputError
+        The samples, the orbits or the options cannot be used; the subclass says why.
+    NotObservableError, TooFewSamplesError
+        The samples do not determine the parameters.
+    """
+    chosen = CalibrationOptions() if options is None else options
+    if overrides:
+        chosen = CalibrationOptions.from_dict(chosen.to_dict() | dict(overrides))
+    tell = progress if progress is not None else _silent
+    tell(0.0)
+    referenced = Referenced.of(samples, orbits, chosen)
+    tell(0.2)
+    estimate = _estimate(referenced, chosen)
+    tell(0.6)
+    left_out = len(samples) - len(estimate.observations)
+    circumstances = Circumstances(referenced.age_days, estimate.clock is not None, left_out)
+    judgement = judgement_of(estimate.estimator, estimate.observations, estimate.fit, estimate.settings, circumstances)
+    tell(0.95)
+    calibration = _assemble(referenced, estimate, judgement, left_out)
+    tell(1.0)
+    return calibration
+
+
+def _silent(_share: float) -> None:
+    """Take no notice of progress."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Estimate:
+    """The fit and what it was made of; ``clock`` where its offset is part of the result."""
+
+    estimator: Estimator
+    options: CalibrationOptions
+    settings: FitSettings
+    usable: NDArray[np.bool_]
+    observations: Observations
+    fit: Fit
+    clock: ClockFit | None
+    tried_clock: ClockFit | None
+
+
+def _estimate(referenced: Referenced, options: CalibrationOptions) -> _Estimate:
+    """Return the estimate with the clock that the options ask for or the data support."""
+    estimator = ESTIMATORS[options.method]
+    settings = FitSettings(options.robust, options.noise_model, options.noise_nt)
+    regressors = () if isinstance(options.regressors, str) else options.regressors
+    if regressors and not estimator.takes_regressors:
+        raise OptionError(f"{estimator.name} takes no regressors; scalar and vector do")
+    usable = referenced.usable(regressors, estimator.is_vector)
+    observations = referenced.observations(usable, regressors)
+    tried = _clock(referenced, estimator, options, settings, usable, observations)
+    clock = tried if tried is not None and (options.time_offset == "estimate" or tried.is_significant) else None
+    if clock is None:
+        fit = estimator.fit(observations, settings)
+    else:
+        observations = clock.observations
+        fit = clock.fit if estimator.takes_regressors else _at_clock(estimator, observations, settings, clock)
+    return _Estimate(estimator, options, settings, usable, observations, fit, clock, tried)
+
+
+def _clock(  # noqa: PLR0917
+    referenced: Referenced,
+    estimator: Estimator,
+    options: CalibrationOptions,
+    settings: FitSettings,
+    usable: NDArray[np.bool_],
+    observations: Observations,
+) -> ClockFit | None:  # fmt: skip
+    """Return the fit with a clock where one is asked for, or where the orbit is old enough to look for one."""
+    if options.time_offset == "estimate" and not referenced.has_orbit:
+        raise OptionError(
+            "time_offset: the reference comes with the telemetry; there is no orbit whose clock could differ"
+        )
+    is_wanted = options.time_offset == "estimate" or (
+        options.time_offset == "auto" and referenced.has_orbit and referenced.age_days > AUTO_AGE_DAYS
+    )
+    if not is_wanted:
+        return None
+    guide = estimator if estimator.takes_regressors else ESTIMATORS["vector" if estimator.is_vector else "scalar"]
+    names = tuple(observations.regressors)
+
+    def at(shift_s: Floats) -> Observations:
+        return referenced.shifted(usable, names, shift_s)
+
+    return fit_with_clock(guide, at, observations.t_s, settings, has_drift=options.time_drift)
+
+
+def _at_clock(estimator: Estimator, observations: Observations, settings: FitSettings, clock: ClockFit) -> Fit:
+    """Return the fit of a method that has no clock of its own, at the offset that its sister method found."""
+    plain = replace(observations, rate_nt_s=np.zeros((0, 0)), rate_base_nt_s=None)
+    fit = estimator.fit(plain, settings)
+    size = len(fit.covariance)
+    covariance = np.zeros((size + 1, size + 1))
+    covariance[:size, :size] = fit.covariance
+    covariance[size, size] = clock.offset_error_s**2
+    parameters = replace(fit.parameters, time_offset_s=clock.offset_s)
+    return replace(fit, parameters=parameters, covariance=covariance)
+
+
+def _assemble(referenced: Referenced, estimate: _Estimate, judgement: Judgement, left_out: int) -> Calibration:
+    fit, samples = estimate.fit, referenced.samples
+    parameters = fit.parameters
+    names = len(parameters.names)
+    sensor = SensorModel(parameters.bias_nt, parameters.scale, parameters.nonorthogonality_deg)
+    lost = int(np.count_nonzero(fit.weights <= 0))
+    extras = {**fit.extras, **extras_of(judgement, len(estimate.observations)), "status_of_fit": str(fit.status)}
+    if estimate.tried_clock is not None:
+        extras["time_offset"] = estimate.tried_clock.to_dict()
+    return Calibration(
+        method=estimate.estimator.name,
+        field_model=referenced.report.field_model,
+        orbit_model=referenced.report.orbit_model,
+        data_from=samples.t_utc[0],
+        data_until=samples.t_utc[-1],
+        parameters=parameters,
+        covariance=judgement.honest.covariance[:names, :names],
+        standard_errors=judgement.standard_errors,
+        formal_standard_errors=fit.formal_standard_errors,
+        matrix=sensor.matrix,
+        correction_matrix=sensor.correction_matrix,
+        candidates=fit.candidates,
+        samples=len(estimate.observations) - lost,
+        rejected=left_out + lost,
+        cross_validated_rms_nt=judgement.cross_validated_rms_nt,
+        before=judgement.before,
+        after=judgement.after,
+        observability=judgement.observability,
+        verdict=judgement.verdict,
+        warnings=_warnings(referenced, estimate, judgement),
+        residuals=_residual_table(samples, estimate),
+        options=estimate.options.to_dict(),
+        orbits=referenced.report.orbits,
+        extras=extras,
+    )
+
+
+def _warnings(referenced: Referenced, estimate: _Estimate, judgement: Judgement) -> tuple[str, ...]:
+    """Return the warnings of the reference, the fit and the residuals, in that order."""
+    found = [*referenced.report.warnings, *estimate.fit.warnings]
+    if not estimate.estimator.is_vector:
+        found.append("reflection_free: |B| alone cannot show an inverted axis, nor a rotation of the whole sensor")
+    if estimate.fit.status != "converged":
+        found.append("not_converged: the search ended before it converged")
+    if estimate.options.robust == "none":
+        size = (
+            np.abs(estimate.fit.residuals_nt)
+            if not estimate.estimator.is_vector
+            else np.abs(estimate.fit.residuals_nt).max(axis=1)
+        )
+        limit = _OUTLIER * 1.4826 * float(np.median(size))
+        count = int(np.count_nonzero(size > limit))
+        if limit > 0 and count > 0.002 * len(size):
+            found.append(
+                f"outliers: {count} residuals are beyond {limit:.0f} nT, six robust sigma; consider a robust loss"
+            )
+    clock = estimate.tried_clock
+    if clock is not None and estimate.clock is None:
+        found.append(f"time_offset_not_used: {clock.offset_s:.2f} +- {clock.offset_error_s:.2f} s is not significant")
+    if judgement.cross_validated_rms_nt is None:
+        found.append("not_cross_validated: a part of the data alone does not determine the parameters")
+    return tuple(found)
+
+
+def _residual_table(samples: Samples, estimate: _Estimate) -> ResidualTable:
+    """Return the residual of every sample, the left-out ones included where they have a reading and a reference."""
+    n = len(samples)
+    is_vector = estimate.estimator.is_vector
+    everything = Observations(
+        np.zeros(n), samples.h_nt, np.full(n, np.nan), samples.b_ref_base_nt, np.ones(n), _columns(samples, estimate)
+    )
+    corrected = corrected_nt(everything, estimate.fit.parameters)
+    model_nt = np.full(n, np.nan)
+    if samples.b_ref_magnitude_nt is not None:
+        model_nt = samples.b_ref_magnitude_nt.copy()
+    model_nt[estimate.usable] = estimate.observations.b_nt
+    length = np.linalg.norm(corrected, axis=1)
+    residual = length - model_nt
+    if is_vector and samples.b_ref_base_nt is not None:
+        base = samples.b_ref_base_nt.copy()
+        base[estimate.usable] = estimate.observations.require_vector()
+        residual = corrected - base
+    weight = np.zeros(n)
+    weight[estimate.usable] = estimate.fit.weights
+    raw_nt = np.linalg.norm(samples.h_nt, axis=1)
+    return ResidualTable(
+        samples.t_utc, length, raw_nt, model_nt, residual, weight, samples.flags, corrected, samples.r_itrf_km
+    )
+
+
+def _columns(samples: Samples, estimate: _Estimate) -> dict[str, Floats]:
+    """Return the regressors of every sample: NaN where one has none."""
+    t_s = (samples.t_utc - samples.t_utc[estimate.usable][0]) / np.timedelta64(1, "ns") * 1e-9
+    return {
+        name: np.asarray(samples.housekeeping[name] if name in samples.housekeeping else t_s / 3600.0, np.float64)
+        for name in estimate.fit.parameters.regressors
+    }

@@ -1,0 +1,129 @@
+"""Samples in time order with their reference field, which can be computed anew at shifted times."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_core.calibration.fit import Observations
+from magcal_core.errors import TooManyBadSamplesError
+from magcal_core.field import FieldModel
+from magcal_core.field.models import field_model
+from magcal_core.options import CalibrationOptions
+from magcal_core.orbit import Orbit
+from magcal_core.reference import ReferenceReport, with_reference
+from magcal_core.samples import SampleFlag, Samples
+
+Floats = NDArray[np.float64]
+
+MAX_BAD_FRACTION: Final = 0.05
+"""Share of readings that are not finite, and that no reader has flagged, from which on the data are refused."""
+
+
+def in_time_order(samples: Samples) -> Samples:
+    """Return the samples in time order, equal times by their readings, with readings that are not finite flagged.
+
+    Raises
+    ------
+    TooManyBadSamplesError
+        More than `MAX_BAD_FRACTION` of the readings are not finite and no reader has flagged them.
+    """
+    h = samples.h_nt
+    order = np.lexsort((h[:, 2], h[:, 1], h[:, 0], samples.t_utc))
+    ordered = samples if np.array_equal(order, np.arange(len(order))) else samples.take(order)
+    is_bad = ~np.isfinite(ordered.h_nt).all(axis=1) | np.isnat(ordered.t_utc)
+    is_new = is_bad & ordered.is_used
+    if np.count_nonzero(is_new) > MAX_BAD_FRACTION * len(samples):
+        raise TooManyBadSamplesError(
+            f"{np.count_nonzero(is_new)} of {len(samples)} readings are not finite, limit {MAX_BAD_FRACTION:.0%}"
+        )
+    return ordered.flagged(SampleFlag.NOT_FINITE, is_bad)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Referenced:
+    """Samples with their reference field.
+
+    Attributes
+    ----------
+    samples : Samples
+        In time order, with reference columns.
+    report : ReferenceReport
+        Where the reference came from.
+    orbits, field
+        What it was computed with.
+    """
+
+    samples: Samples
+    report: ReferenceReport
+    orbits: Sequence[Orbit]
+    field: FieldModel
+
+    @classmethod
+    def of(cls, samples: Samples, orbits: Sequence[Orbit], options: CalibrationOptions) -> Referenced:
+        """Return ``samples`` in time order with their reference.
+
+        Raises
+        ------
+        InputError
+            What `in_time_order` and `with_reference` raise.
+        """
+        ordered = in_time_order(samples)
+        field = field_model(options.field, options.field_max_degree)
+        used = _numerical(orbits) if options.orbit == "numerical" else list(orbits)
+        # An instant that is not one has no place: it is kept out before the orbit is asked for it.
+        known = ordered.take(~np.isnat(ordered.t_utc))
+        filled, report = with_reference(known, used, field, max_orbit_age_days=options.max_orbit_age_days)
+        return cls(filled, report, used, field)
+
+    @property
+    def age_days(self) -> float:
+        """Largest distance between data and orbit, days; 0 where no orbit was used."""
+        return max((float(str(orbit["age_days"])) for orbit in self.report.orbits), default=0.0)
+
+    @property
+    def has_orbit(self) -> bool:
+        """Whether an orbit gave the positions: only then its clock and the telemetry's can differ."""
+        return bool(self.report.orbits)
+
+    def usable(self, regressors: Sequence[str], is_vector: bool) -> NDArray[np.bool_]:
+        """Return which samples a method can use with these regressors, shape (n,)."""
+        samples = self.samples
+        usable = samples.is_used.copy()
+        if samples.b_ref_magnitude_nt is not None:
+            usable &= np.isfinite(samples.b_ref_magnitude_nt)
+        if is_vector and samples.b_ref_base_nt is not None:
+            usable &= np.isfinite(samples.b_ref_base_nt).all(axis=1)
+        for name in regressors:
+            if name in samples.housekeeping:
+                usable &= np.isfinite(samples.housekeeping[name])
+        return usable
+
+    def observations(self, usable: NDArray[np.bool_], regressors: Sequence[str]) -> Observations:
+        """Return the ``usable`` samples as an estimator sees them."""
+        return Observations.of(self.samples, regressors, usable.astype(np.float64))
+
+    def shifted(self, usable: NDArray[np.bool_], regressors: Sequence[str], shift_s: Floats) -> Observations:
+        """Return the same with the reference at times that are ``shift_s``, shape (usable,), s, before the clock's."""
+        bare = self.samples.take(usable)
+        moved = replace(
+            bare,
+            t_utc=bare.t_utc - np.round(shift_s * 1e9).astype("timedelta64[ns]"),
+            b_ref_base_nt=None,
+            b_ref_gcrf_nt=None,
+            b_ref_magnitude_nt=None,
+            r_itrf_km=None,
+        )
+        filled, _ = with_reference(moved, self.orbits, self.field, max_orbit_age_days=float("inf"))
+        return Observations.of(replace(filled, t_utc=bare.t_utc), regressors)
+
+
+def _numerical(orbits: Sequence[Orbit]) -> list[Orbit]:
+    """Return numerical orbits in place of ``orbits``."""
+    from magcal_core.orbit.numerical import numerical_from
+
+    return [numerical_from(orbit) for orbit in orbits]

@@ -1,0 +1,247 @@
+"""The way from telemetry to a parameter set: worked cases, real telemetry, order, options and the record."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magcal_core.calibration import ESTIMATORS
+from magcal_core.errors import NotObservableError, OptionError, OrbitMissingError, TleEpochError, TooManyBadSamplesError
+from magcal_core.options import METHODS, CalibrationOptions
+from magcal_core.orbit.sgp4 import Sgp4Orbit
+from magcal_core.orbit.tle import parse_tles
+from magcal_core.pipeline import calibrate
+from magcal_core.samples import SampleFlag
+from magcal_core.sensor import SensorModel
+from magcal_core.simulate import Disturbances, simulate
+from magcal_core.telemetry import read_samples
+
+BRO4_COLUMNS = {"time": "ts", "bx": "extmag_0", "by": "extmag_1", "bz": "extmag_2"}
+BRO4_REFERENCE = {f"ref_eci_{axis}": f"ephem_mageci_{i}" for i, axis in enumerate("xyz")}
+
+
+@pytest.fixture(scope="module")
+def nominal(data_dir):
+    return read_samples(data_dir / "calibration" / "nominal.csv")
+
+
+def flat(document):
+    if isinstance(document, dict):
+        return [leaf for value in document.values() for leaf in flat(value)]
+    if isinstance(document, list):
+        return [leaf for value in document for leaf in flat(value)]
+    return [document]
+
+
+def test_options_know_every_estimator():
+    assert set(METHODS) == set(ESTIMATORS)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("name", ["nominal", "outliers"])
+def test_worked_case_comes_out_of_the_record(data_dir, name, method):
+    """The same minimiser, deterministic: 1e-6 of max(1, |answer|); the search 1e-4."""
+    folder = data_dir / "calibration"
+    expected = json.loads((folder / f"{name}.answer.json").read_text())["expected"]
+    record = calibrate(read_samples(folder / f"{name}.csv"), method=method).to_dict()
+    key = {"scalar": "scalar_lm", "scalar-hooke-jeeves": "scalar_lm", "vector": "forward_ml"}.get(method, "ols_inverse")
+    rel = 1e-4 if method == "scalar-hooke-jeeves" else 1e-6
+    for mine, theirs in (("scale", "k"), ("nonorthogonality_deg", "eps_deg"), ("bias_nt", "b_nT")):
+        for got, want in zip(record["parameters"][mine], expected[key][theirs], strict=True):
+            assert abs(got - want) <= rel * max(1.0, abs(want))
+    if method.startswith("scalar"):
+        after, n = record["statistics"]["after"]["rms_nt"], record["statistics"]["samples"]
+        assert after * math.sqrt(n) == pytest.approx(expected["scalar_lm"]["phi"], rel=1e-6)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_record_is_json_with_the_fields_of_the_service(nominal, method):
+    calibration = calibrate(nominal, method=method)
+    record = json.loads(json.dumps(calibration.to_dict(), allow_nan=False))
+    assert record["parameter_names"][:9] == [
+        f"{group}[{i}]" for group in ("bias_nt", "scale", "nonorthogonality_deg") for i in range(3)
+    ]
+    assert np.shape(record["covariance"]) == (9, 9)
+    product = np.array(record["matrix"]) @ record["correction_matrix"]
+    np.testing.assert_allclose(product, np.eye(3), atol=1e-12)
+    assert record["verdict"]["grade"] == "accept"
+    assert len(record["candidates"]) == (4 if method == "vector-closed-form" else 0)
+    assert record["data_from"] == "2022-02-19T22:37:44.130000Z"
+    assert ("first_order" in record) == (method == "scalar-hooke-jeeves")
+    assert all(math.isfinite(x) for x in flat(record) if isinstance(x, float))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_result_does_not_depend_on_the_order_of_the_samples(nominal, method):
+    """Bit for bit: the samples are sorted before anything is computed."""
+    shuffled = nominal.take(np.random.default_rng(4).permutation(len(nominal)))
+    assert calibrate(shuffled, method=method).to_dict() == calibrate(nominal, method=method).to_dict()
+
+
+def test_progress_rises_from_zero_to_one(nominal):
+    told = []
+    calibrate(nominal, progress=told.append)
+    assert told[0] == 0.0
+    assert told[-1] == 1.0
+    assert told == sorted(told)
+
+
+def test_readings_that_are_not_finite_are_flagged_and_left_out(nominal):
+    h = nominal.h_nt.copy()
+    h[[3, 70]] = np.nan
+    calibration = calibrate(replace(nominal, h_nt=h))
+    assert calibration.rejected == 2
+    assert calibration.samples == 573
+    assert np.flatnonzero(calibration.residuals.flags & SampleFlag.NOT_FINITE).tolist() == [3, 70]
+    assert np.flatnonzero(calibration.residuals.weight == 0).tolist() == [3, 70]
+    h[:40] = np.inf
+    with pytest.raises(TooManyBadSamplesError):
+        calibrate(replace(nominal, h_nt=h))
+
+
+def test_samples_without_a_reference_need_an_orbit(nominal):
+    bare = replace(nominal, b_ref_base_nt=None, b_ref_magnitude_nt=None)
+    with pytest.raises(OrbitMissingError):
+        calibrate(bare)
+
+
+def test_too_few_samples_are_refused_with_the_parameters_named(nominal):
+    with pytest.raises(NotObservableError, match="5 usable samples"):
+        calibrate(nominal.take(slice(0, 5)))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("method", "magic"),
+        ("method", 3),
+        ("field", "wmm-1900"),
+        ("field_max_degree", 0),
+        ("field_max_degree", 9.5),
+        ("orbit", "kepler"),
+        ("time_offset", True),
+        ("time_drift", 1),
+        ("regressors", "temperature"),
+        ("regressors", ("a", "a")),
+        ("regressors", [1]),
+        ("robust", "median"),
+        ("noise_model", None),
+        ("noise_nt", 0.0),
+        ("noise_nt", float("nan")),
+        ("max_orbit_age_days", "14"),
+        ("max_orbit_age_days", True),
+        ("bootstrap", -1),
+        ("unheard_of", 1),
+    ],
+)
+def test_option_that_cannot_be_is_refused_by_name(name, value):
+    with pytest.raises(OptionError) as caught:
+        CalibrationOptions.from_dict({name: value})
+    assert [fault.where for fault in caught.value.faults] == [name]
+
+
+def test_options_round_trip():
+    options = CalibrationOptions(method="vector", regressors=("temperature",), robust="tukey", noise_nt=50.0)
+    assert CalibrationOptions.from_dict(options.to_dict()) == options
+    assert CalibrationOptions.from_dict(json.loads(json.dumps(options.to_dict()))) == options
+
+
+@pytest.fixture(scope="module")
+def on_board(bro4_dir):
+    samples = read_samples(bro4_dir / "external.csv", columns=BRO4_COLUMNS | BRO4_REFERENCE, unit="mG")
+    return calibrate(samples)
+
+
+@pytest.fixture(scope="module")
+def bare(bro4_dir):
+    return read_samples(bro4_dir / "external.csv", columns=BRO4_COLUMNS, unit="mG")
+
+
+@pytest.fixture(scope="module")
+def tle(bro4_dir):
+    return [Sgp4Orbit.from_tle((bro4_dir / "tle.txt").read_text())]
+
+
+@pytest.fixture(scope="module")
+def orbit(data_dir):
+    return Sgp4Orbit(parse_tles((data_dir / "dekart.tle.txt").read_text())[0])
+
+
+@pytest.mark.real_data
+class TestBro4:
+    """Figures of independent fits to the same telemetry."""
+
+    def test_on_board_reference(self, on_board):
+        assert on_board.before.rms_nt == pytest.approx(1367, abs=1)
+        assert on_board.after.rms_nt == pytest.approx(181.5, abs=1)
+        assert on_board.cross_validated_rms_nt == pytest.approx(247, abs=1)
+        assert on_board.samples == 2371
+
+    def test_honest_errors_are_many_times_the_formal_ones(self, on_board):
+        """Formal 6-9 nT; block fits scatter by 90-300 nT."""
+        assert on_board.formal_standard_errors.bias_nt.max() < 10
+        assert on_board.standard_errors.bias_nt.max() > 40
+
+    def test_stale_tle_without_offset(self, bare, tle):
+        got = calibrate(bare, tle, max_orbit_age_days=60.0, time_offset="none")
+        assert got.after.rms_nt == pytest.approx(423, abs=5)
+        assert [w for w in got.warnings if w.startswith("tle_old")]
+        assert got.verdict.grade == "refuse"
+
+    def test_stale_tle_is_refused_unless_allowed(self, bare, tle):
+        with pytest.raises(TleEpochError):
+            calibrate(bare, tle)
+
+    @pytest.mark.parametrize("method", ["scalar", "scalar-hooke-jeeves"])
+    def test_stale_tle_with_its_offset_estimated(self, bare, tle, on_board, method):
+        got = calibrate(bare, tle, max_orbit_age_days=60.0, method=method)
+        assert abs(got.parameters.time_offset_s) == pytest.approx(31, abs=1)
+        assert got.after.rms_nt <= 195
+        assert np.abs(got.parameters.bias_nt - on_board.parameters.bias_nt).max() <= 50
+        assert np.shape(got.covariance) == (10, 10)
+
+
+class TestTimeOffset:
+    """Simulated passes with a clock offset planted: telemetry clock minus true time."""
+
+    def flown(self, orbit, offset_s, days=0.0, seed=3):
+        start = orbit.epoch_utc.astype("datetime64[s]") + np.timedelta64(round(days * 86400), "s")
+        sensor = SensorModel([2928.125, -1191.25, -1875.625], [1.032695, 1.006685, 1.032875], [-4.53, -1.067, 7.915])
+        disturbances = Disturbances(noise_nt=50.0, clock_offset_s=offset_s)
+        return simulate(orbit, sensor, start, 11500.0, 10.0, disturbances=disturbances, seed=seed).samples
+
+    @pytest.mark.parametrize("method", ["scalar", "vector"])
+    @pytest.mark.parametrize("offset_s", [-20.0, 2.0])
+    def test_planted_offset_is_found(self, orbit, method, offset_s):
+        """Within four of its own standard errors; sign: telemetry clock minus true time."""
+        got = calibrate(self.flown(orbit, offset_s), [orbit], method=method, time_offset="estimate")
+        error = got.standard_errors.time_offset_s
+        assert error < 0.5
+        assert got.parameters.time_offset_s == pytest.approx(offset_s, abs=4 * error)
+        assert got.extras["time_offset"]["is_significant"]
+
+    def test_auto_looks_only_where_the_orbit_is_old(self, orbit):
+        fresh = calibrate(self.flown(orbit, 5.0), [orbit])
+        assert fresh.parameters.time_offset_s is None
+        old = calibrate(self.flown(orbit, 5.0, days=5.0), [orbit])
+        assert old.parameters.time_offset_s == pytest.approx(5.0, abs=0.5)
+
+    def test_auto_leaves_out_an_offset_that_the_data_do_not_show(self, orbit):
+        got = calibrate(self.flown(orbit, 0.0, days=5.0), [orbit])
+        assert got.parameters.time_offset_s is None
+        assert [w for w in got.warnings if w.startswith("time_offset_not_used")]
+
+    def test_planted_drift_is_found(self, orbit):
+        """40 s a day over 3.2 h; within four standard errors."""
+        samples = self.flown(orbit, 0.0)
+        seconds = (samples.t_utc - samples.t_utc[0]) / np.timedelta64(1, "s")
+        drift = np.round(seconds * 40.0 / 86400.0 * 1e9).astype("timedelta64[ns]")
+        got = calibrate(replace(samples, t_utc=samples.t_utc + drift), [orbit], time_offset="estimate", time_drift=True)
+        clock = got.extras["time_offset"]
+        assert clock["drift_s_per_day"] == pytest.approx(40.0, abs=4 * clock["drift_standard_error_s_per_day"])
+
+    def test_offset_of_a_reference_in_the_telemetry_is_refused(self, nominal):
+        with pytest.raises(OptionError, match="no orbit"):
+            calibrate(nominal, time_offset="estimate")
