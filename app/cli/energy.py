@@ -9,16 +9,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from app.cli.options import INPUT_FILE, OUTPUT_FILE, read_text, usage_error
+from app.cli.options import INPUT_FILE, OUTPUT_FILE, orbits_of_file, usage_error
 from magcal_core.errors import OptionError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from magcal_core.energy.balance import EnergyBalance
-    from magcal_core.energy.options import EnergyOptions
     from magcal_core.orbit import Orbit
-    from magcal_core.orbit.oem import OemOrbit
 
 FORMS = ("corrected", "printed", "static-tide", "no-correction", "frame-rate", "rotation-wrong-sign", "no-rotation",
          "rotation-about-itrf-z", "rotation-about-gcrf-z", "dissipation-inertial")  # fmt: skip
@@ -54,7 +52,6 @@ def command(
     state: Path | None,
     oem: Path | None,
     tle: Path | None,
-    orbit: str,
     series: Path | None,
     as_json: bool,
     **spec: float | bool | str | None,
@@ -66,20 +63,18 @@ def command(
     """
     from magcal_core.energy.balance import energy_balance
     from magcal_core.energy.options import EnergyOptions
-    from magcal_core.orbit.oem import parse_oem
 
     given = [path for path in (state, oem, tle) if path is not None]
     if len(given) != 1:
         raise click.UsageError(f"want exactly one of --state, --oem and --tle, not {len(given)}")
-    ephemeris = None if oem is None else parse_oem(read_text(oem))
+    orbit = _orbit_of(given[0])
     if spec["duration_s"] is None:
-        spec["duration_s"] = 86400.0 if ephemeris is None else _length_s(ephemeris)
+        spec["duration_s"] = _length_s(orbit)
     try:
         options = EnergyOptions.from_dict(spec)
     except OptionError as error:
         raise usage_error(error) from error
-    source = ephemeris or (_of_state(state, options) if state else _of_tle(given[0], orbit, options))
-    balance = energy_balance(source, options)
+    balance = energy_balance(orbit, options)
     if series is not None:
         _write_series(balance, series)
     if as_json:
@@ -88,38 +83,22 @@ def command(
         _print_table(balance)
 
 
-def _of_state(path: Path, options: EnergyOptions) -> Orbit:
-    """Return the numerical orbit through the state vector in a file."""
-    from magcal_core.energy.balance import integrated
-    from magcal_core.orbit.state import parse_state
-
-    state = parse_state(read_text(path))
-    return integrated(state.epoch_utc, state.r_km, state.v_km_s, options, state.frame)
-
-
-def _length_s(ephemeris: OemOrbit) -> float:
-    """Return how long an ephemeris is, s."""
-    import numpy as np
-
-    return float((ephemeris.until_utc - ephemeris.epoch_utc) / np.timedelta64(1, "ns")) / 1e9
+def _orbit_of(path: Path) -> Orbit:
+    """Return the first orbit in a file; say so where there are more."""
+    orbits = orbits_of_file(path)
+    if len(orbits) > 1:
+        first = f"{orbits[0].epoch_utc}Z"
+        click.echo(f"magcal: {path} has {len(orbits)} orbits; the first, of {first}, is used", err=True)
+    return orbits[0]
 
 
-def _of_tle(path: Path, orbit: str, options: EnergyOptions) -> Orbit:
-    """Return the orbit of the one TLE in a file: integrated from its state at the epoch, or SGP4 itself."""
-    import numpy as np
+def _length_s(orbit: Orbit) -> float:
+    """Return how long an ephemeris is, s; a day for other orbits."""
+    from magcal_core.orbit.oem import OemOrbit
 
-    from magcal_core.energy.balance import integrated
-    from magcal_core.orbit.sgp4 import Sgp4Orbit
-    from magcal_core.orbit.tle import parse_tles
-
-    tles = parse_tles(read_text(path))
-    if len(tles) > 1:
-        click.echo(f"magcal: {path} has {len(tles)} TLEs; the first, of {tles[0].epoch_utc}Z, is used", err=True)
-    sgp4 = Sgp4Orbit(tles[0])
-    if orbit == "sgp4":
-        return sgp4
-    r_km, v_km_s = sgp4.state_gcrf(np.array([sgp4.epoch_utc]))
-    return integrated(sgp4.epoch_utc, r_km[0], v_km_s[0], options)
+    if not isinstance(orbit, OemOrbit):
+        return 86400.0
+    return float((orbit.until_utc - orbit.epoch_utc).astype("timedelta64[ns]").astype(int)) / 1e9
 
 
 def _write_series(balance: EnergyBalance, path: Path) -> None:

@@ -153,16 +153,23 @@ class EnergyBalance:
 
 
 def integrated(
-    epoch_utc: np.datetime64, r_km: Floats, v_km_s: Floats, options: EnergyOptions, frame: Frame = "GCRF"
+    epoch_utc: np.datetime64,
+    r_km: Floats,
+    v_km_s: Floats,
+    options: EnergyOptions,
+    frame: Frame = "GCRF",
+    *,
+    drag: ExponentialDrag | None = None,
 ) -> NumericalOrbit:
     """Return the orbit through a state with the forces that ``options`` name, integrated tightly enough for a balance.
+
+    ``drag`` acts where the options name none.
 
     Raises
     ------
     OrbitFormatError, FrameError
         The state is not one.
     """
-    drag = None
     if options.drag_density_kg_m3 > 0.0 and options.drag_area_over_mass_m2_kg > 0.0:
         drag = ExponentialDrag(
             options.drag_density_kg_m3,
@@ -196,8 +203,10 @@ def sampled(orbit: Orbit, intervals: int, step_s: float) -> StateRows:
 def energy_balance(source: Orbit | StateRows, options: EnergyOptions) -> EnergyBalance:
     """Return the energy balance of an orbit from its epoch on, or of rows of states as they are.
 
-    A `NumericalOrbit` (see `integrated`) is balanced against its own forces; anything else against those that
-    ``options`` name. Rows keep their own times: ``duration_s`` and ``step_s`` then have no effect.
+    A numerical orbit is integrated anew from its state, and SGP4 from its state at its epoch (unless ``options.orbit``
+    is ``sgp4``), with the forces that ``options`` name; the drag of a numerical orbit stays where they name none. An
+    ephemeris and rows are balanced as they are; rows keep their own times, so ``duration_s`` and ``step_s`` have no
+    effect on them.
 
     Raises
     ------
@@ -208,6 +217,7 @@ def energy_balance(source: Orbit | StateRows, options: EnergyOptions) -> EnergyB
     EstimationError
         The samples do not determine the coefficients asked for.
     """
+    source = _integrated_anew(source, options)
     track, t_utc, thin = _track(source, options)
     terms = balance_terms(track)
     series = hamiltonian_m2_s2(track, terms, options.form)
@@ -225,6 +235,16 @@ def energy_balance(source: Orbit | StateRows, options: EnergyOptions) -> EnergyB
         recovery=recovery,
         warnings=_warnings(source, options),
     )
+
+
+def _integrated_anew(source: Orbit | StateRows, options: EnergyOptions) -> Orbit | StateRows:
+    if isinstance(source, NumericalOrbit):
+        r_km, v_km_s = np.split(source.state_km_km_s, 2)
+        return integrated(source.epoch_utc, r_km, v_km_s, options, drag=source.drag)
+    if isinstance(source, StateRows) or source.model != "sgp4" or options.orbit == "sgp4":
+        return source
+    r_gcrf_km, v_gcrf_km_s = source.state_gcrf(np.array([source.epoch_utc], "datetime64[ns]"))
+    return integrated(source.epoch_utc, r_gcrf_km[0], v_gcrf_km_s[0], options)
 
 
 def _track(source: Orbit | StateRows, options: EnergyOptions) -> tuple[Track, Times, int]:

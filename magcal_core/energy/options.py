@@ -32,6 +32,8 @@ class EnergyOptions:
         Degree and order of EGM96, 0 to 36.
     third_bodies, tide : bool
         Whether Sun and Moon and the solid tide act.
+    orbit : str
+        What becomes of a TLE: ``numerical``, integrated from its state at its epoch, or ``sgp4``, its own states.
     form : str
         One of `magcal_core.energy.terms.FORMS`; ``corrected``, or ``printed`` as in the paper.
     recover : int, optional
@@ -58,6 +60,7 @@ class EnergyOptions:
     degree: int = 12
     third_bodies: bool = True
     tide: bool = False
+    orbit: str = "numerical"
     form: str = "corrected"
     recover: int | None = None
     method: str = "least-squares"
@@ -133,6 +136,7 @@ _RULES: Final[Mapping[str, tuple[Callable[[object], bool], str]]] = {
     "degree": (_whole(0, MAX_DEGREE), f"must be a whole number from 0 to {MAX_DEGREE}"),
     "third_bodies": (_is_flag, "must be true or false"),
     "tide": (_is_flag, "must be true or false"),
+    "orbit": (_one_of("numerical", "sgp4"), "must be numerical or sgp4"),
     "form": (_one_of(*FORMS), f"must be one of {', '.join(FORMS)}"),
     "recover": (_is_recovery, f"must be a whole number from 2 to {MAX_DEGREE}"),
     "method": (_one_of(*METHODS), f"must be one of {', '.join(METHODS)}"),

@@ -159,9 +159,10 @@ class NumericalOrbit:
             The state is not that of a satellite.
         """
         state = _checked_state(r_km, v_km_s, is_inertial=frame != "ITRF")
-        r_gcrf_km, v_gcrf_km_s = convert_state(
-            np.array([epoch_utc], "datetime64[ns]"), state[None, :3], state[None, 3:], frame, "GCRF"
-        )
+        r_gcrf_km, v_gcrf_km_s = state[None, :3], state[None, 3:]
+        if frame != "GCRF":
+            t_utc = np.array([epoch_utc], "datetime64[ns]")
+            r_gcrf_km, v_gcrf_km_s = convert_state(t_utc, r_gcrf_km, v_gcrf_km_s, frame, "GCRF")
         return cls(
             epoch_utc,
             r_gcrf_km[0],

@@ -1,5 +1,6 @@
 """The balance as a whole: its verdict, its sources, its options."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,8 @@ import pytest
 from magcal_core.energy.balance import StateRows, energy_balance, integrated
 from magcal_core.energy.options import EnergyOptions
 from magcal_core.errors import OptionError, OrbitFormatError
+from magcal_core.orbit.forces import ExponentialDrag
+from magcal_core.orbit.numerical import NumericalOrbit
 from magcal_core.orbit.sgp4 import Sgp4Orbit
 
 EPOCH = np.datetime64("2022-02-19T22:37:44.130", "ns")
@@ -62,10 +65,23 @@ def test_drift_of_rows_without_accelerations_estimates_the_dissipation() -> None
 def test_sgp4_states_are_no_test_of_the_field_and_the_result_says_so() -> None:
     """A velocity 1 m/s off is 7.6e3 m2/s2: H of SGP4 varies by thousands."""
     text = (Path(__file__).resolve().parents[2] / "data" / "orbit" / "dekart.tle.txt").read_text().splitlines()[:3]
-    balance = energy_balance(Sgp4Orbit.from_tle("\n".join(text)), DAY)
+    sgp4 = Sgp4Orbit.from_tle("\n".join(text))
+    balance = energy_balance(sgp4, replace(DAY, orbit="sgp4"))
+    assert energy_balance(sgp4, DAY).consistency == "consistent"
     assert balance.consistency == "inconsistent"
     assert 100.0 < balance.spread.std < 1e5
     assert balance.warnings[0].startswith("sgp4_velocity")
+
+
+def test_the_options_decide_which_forces_act() -> None:
+    """A numerical orbit is integrated anew: its own degree, tolerance and bodies do not matter, its drag does."""
+    options = EnergyOptions(duration_s=7200.0, step_s=60.0, degree=4, tide=True)
+    coarse = NumericalOrbit(EPOCH, R_KM, V_KM_S, 36, False, rtol=1e-8)
+    asked = energy_balance(integrated(EPOCH, R_KM, V_KM_S, options), options)
+    given = energy_balance(coarse, options)
+    np.testing.assert_array_equal(given.hamiltonian_m2_s2, asked.hamiltonian_m2_s2)
+    dragged = NumericalOrbit(EPOCH, R_KM, V_KM_S, drag=ExponentialDrag(4e-12, 0.0088, 6938.137, 65.0))
+    assert energy_balance(dragged, options).terms["dissipation"][-1] < -10.0
 
 
 def test_printed_form_varies_where_the_corrected_one_does_not() -> None:
