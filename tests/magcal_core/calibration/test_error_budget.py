@@ -36,7 +36,7 @@ def by_source(items: tuple[BudgetItem, ...]) -> dict[str, float | None]:
 
 
 def test_an_old_tle_shifts_the_field_as_moving_along_the_orbit_does(samples: Samples, orbit: Sgp4Orbit) -> None:
-    """A satellite that is 5 days x 1.5 km + 25 x 0.2 km late: the same orbit, read later; 64 places stand for all: 15 %."""
+    """A satellite that is 5 days x 1.5 km + 25 x 0.2 km late: the same orbit, read later, to 15 %."""
     late_km = np.hypot(0.64, 5 * 1.5 + 25 * 0.2)
     shift = np.timedelta64(round(late_km / 7.58 * 1e9), "ns")
     # The Earth turns on meanwhile: the later place is taken back to the earlier time in inertial axes.
