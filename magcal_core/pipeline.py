@@ -141,15 +141,16 @@ def _clock(  # noqa: PLR0917
 
 
 def _at_clock(estimator: Estimator, observations: Observations, settings: FitSettings, clock: ClockFit) -> Fit:
-    """Return the fit of a method that has no clock of its own, at the offset that its sister method found."""
+    """Return the fit of a method that has no clock of its own, at the offset that its sister method found.
+
+    Both end at the same minimum, or within noise of it: the errors are those of the sister, which know of the clock.
+    """
     plain = replace(observations, rate_nt_s=np.zeros((0, 0)), rate_base_nt_s=None)
     fit = estimator.fit(plain, settings)
-    size = len(fit.covariance)
-    covariance = np.zeros((size + 1, size + 1))
-    covariance[:size, :size] = fit.covariance
-    covariance[size, size] = clock.offset_error_s**2
     parameters = replace(fit.parameters, time_offset_s=clock.offset_s)
-    return replace(fit, parameters=parameters, covariance=covariance)
+    return replace(
+        fit, parameters=parameters, covariance=clock.fit.covariance, blocks=clock.fit.blocks, clock=clock.fit.clock
+    )
 
 
 def _assemble(referenced: Referenced, estimate: _Estimate, judgement: Judgement, left_out: int) -> Calibration:

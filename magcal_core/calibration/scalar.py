@@ -166,9 +166,10 @@ def require_observable(observations: Observations, theta: Floats, normal: Floats
     if information.is_observable:
         return
     named = taking_part(information.weak[information.ratios < UNOBSERVABLE_BELOW]) or tuple(range(9))
+    letters = ", ".join(SHORT_NAMES[i] for i in named)
     raise NotObservableError(
-        f"the samples do not determine {', '.join(SHORT_NAMES[i] for i in named)}: "
-        f"observability index {information.index:.2g}, needed {UNOBSERVABLE_BELOW:g}; condition number {condition_number(normal[:9, :9]):.3g}",
+        f"the samples do not determine {letters}: observability index {information.index:.2g}, needed "
+        f"{UNOBSERVABLE_BELOW:g}; condition number {condition_number(normal[:9, :9]):.3g}",
         [PARAMETER_NAMES[i] for i in named],
     )
 
