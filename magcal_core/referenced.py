@@ -74,9 +74,9 @@ class Referenced:
         """
         ordered = in_time_order(samples)
         field = field_model(options.field, options.field_max_degree)
-        used = _numerical(orbits) if options.orbit == "numerical" else list(orbits)
         # An instant that is not one has no place: it is kept out before the orbit is asked for it.
         known = ordered.take(~np.isnat(ordered.t_utc))
+        used = _numerical(orbits, known) if options.orbit == "numerical" else list(orbits)
         filled, report = with_reference(known, used, field, max_orbit_age_days=options.max_orbit_age_days)
         return cls(filled, report, used, field)
 
@@ -122,8 +122,9 @@ class Referenced:
         return Observations.of(replace(filled, t_utc=bare.t_utc), regressors)
 
 
-def _numerical(orbits: Sequence[Orbit]) -> list[Orbit]:
-    """Return numerical orbits in place of ``orbits``."""
-    from magcal_core.orbit.numerical import numerical_from
+def _numerical(orbits: Sequence[Orbit], samples: Samples) -> list[Orbit]:
+    """Return numerical orbits in place of those of ``orbits`` that give some sample its position."""
+    from magcal_core.orbit.numerical import numerical_orbits
 
-    return [numerical_from(orbit) for orbit in orbits]
+    needs_orbit = bool(orbits) and not samples.has_reference and samples.r_itrf_km is None
+    return numerical_orbits(orbits, samples.t_utc) if needs_orbit else list(orbits)

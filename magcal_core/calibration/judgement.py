@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +61,9 @@ def judgement_of(
     errors = np.concatenate([errors, np.zeros(max(0, names - errors.size))])[:names]
     standard_errors = fit.parameters.with_vector(errors)
     before, after = statistics_of(observations, fit, estimator.is_vector)
-    held_out = held_out_residuals_nt(estimator, observations, settings)
+    # The clock stays where all data put it: one number, and the held-out reference is taken at it.
+    still = replace(observations, rate_nt_s=np.zeros((0, 0)), rate_base_nt_s=None)
+    held_out = held_out_residuals_nt(estimator, still, settings)
     unseen = None if held_out is None else rms_nt(held_out, fit.weights)
     used = fit.weights > 0
     observability, directions = observability_of(observations.take(used), fit, estimator.is_vector)
