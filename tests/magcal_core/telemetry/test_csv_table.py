@@ -73,6 +73,15 @@ def test_a_hundred_faults_are_listed_and_all_are_counted() -> None:
     assert len(caught.value.faults) == 100
 
 
+def test_faults_are_listed_in_the_order_of_lines() -> None:
+    """One fault in the last column of line 2, two hundred in the first column of the lines after it."""
+    text = HEADER + "1600000000,1,1,x\n" + "".join(f"{1.6e9 + i},x,1,1\n" for i in range(1, 201))
+    with pytest.raises(TelemetryValueError, match="201 faults") as caught:
+        read_samples(text.encode())
+    places = [fault.where for fault in caught.value.faults]
+    assert places == ["line 2, column bz", *(f"line {i}, column bx" for i in range(3, 102))]
+
+
 def test_rows_of_another_width_are_named() -> None:
     lines = GOOD.splitlines()
     lines[2] += ",7"
