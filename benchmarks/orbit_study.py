@@ -19,7 +19,8 @@ from magcal_core.field.igrf import Igrf
 from magcal_core.orbit import Orbit
 from magcal_core.orbit.forces import ExponentialDrag
 from magcal_core.orbit.frames import convert_position
-from magcal_core.orbit.numerical import NumericalOrbit, fitted_to, numerical_from
+from magcal_core.orbit.numerical import NumericalOrbit
+from magcal_core.orbit.numerical_fit import fitted_to, numerical_from
 from magcal_core.orbit.sgp4 import Sgp4Orbit
 
 Floats = NDArray[np.float64]

@@ -124,7 +124,7 @@ class Referenced:
 
 def _numerical(orbits: Sequence[Orbit], samples: Samples) -> list[Orbit]:
     """Return numerical orbits in place of those of ``orbits`` that give some sample its position."""
-    from magcal_core.orbit.numerical import numerical_orbits
+    from magcal_core.orbit.numerical_fit import numerical_orbits
 
     needs_orbit = bool(orbits) and not samples.has_reference and samples.r_itrf_km is None
     return numerical_orbits(orbits, samples.t_utc) if needs_orbit else list(orbits)

@@ -15,8 +15,7 @@ from magcal_core.orbit.bodies import sun_moon_gcrf
 from magcal_core.orbit.forces import ExponentialDrag
 from magcal_core.orbit.frames import convert_state, gcrf_to_itrf_matrix
 from magcal_core.orbit.gravity import egm96
-from magcal_core.orbit.numerical import NumericalOrbit, fitted_to, numerical_from
-from magcal_core.orbit.sgp4 import Sgp4Orbit
+from magcal_core.orbit.numerical import NumericalOrbit
 
 EPOCH = np.datetime64("2022-02-19T22:37:44.130", "ns")
 R_KM = np.array([6861.897826, -934.3811016, -14.66851920])
@@ -179,46 +178,6 @@ def test_a_state_may_be_given_in_any_frame(frame: str) -> None:
     r_km, v_km_s = convert_state(t_utc, R_KM[None], V_KM_S[None], "GCRF", frame)  # type: ignore[arg-type]
     orbit = NumericalOrbit.from_state(EPOCH, r_km[0], v_km_s[0], frame)  # type: ignore[arg-type]
     np.testing.assert_allclose(orbit.state_km_km_s, np.hstack([R_KM, V_KM_S]), atol=1e-10)
-
-
-def test_a_numerical_orbit_fitted_to_itself_is_found_again() -> None:
-    truth = NumericalOrbit(EPOCH, R_KM, V_KM_S)
-    fitted = fitted_to(truth, -21600.0, 0.0)
-    np.testing.assert_allclose(fitted.state_km_km_s, truth.state_km_km_s, atol=1e-8)
-    assert numerical_from(truth) is truth
-
-
-@pytest.fixture(scope="module")
-def dekart_sgp4() -> Sgp4Orbit:
-    text = (Path(__file__).resolve().parents[2] / "data" / "orbit" / "dekart.tle.txt").read_text(encoding="ascii")
-    return Sgp4Orbit.from_tle("\n".join(text.splitlines()[:3]))
-
-
-def test_from_one_sgp4_state_the_orbits_part_as_published(dekart_sgp4: Sgp4Orbit) -> None:
-    """An independent study found at most 453 m in 3 h and 2.3 km in 24 h between SGP4 (B* = 0) and 12x12, Sun, Moon."""
-    numerical = numerical_from(dekart_sgp4, "epoch")
-    t_utc = dekart_sgp4.epoch_utc + np.arange(0, 86401, 30).astype("timedelta64[s]")
-    apart_m = 1e3 * np.linalg.norm(numerical.state_gcrf(t_utc)[0] - dekart_sgp4.state_gcrf(t_utc)[0], axis=1)
-    assert apart_m[0] < 1e-6
-    assert apart_m[:361].max() == pytest.approx(453, rel=0.02)
-    assert apart_m.max() == pytest.approx(2300, rel=0.03)
-
-
-def test_a_fit_to_a_day_of_sgp4_is_nearer_to_it_than_one_of_its_states(dekart_sgp4: Sgp4Orbit) -> None:
-    """What remains are the short-periodic terms that SGP4 leaves out: published 640 m rms at this altitude."""
-    middle = dekart_sgp4.epoch_utc + np.timedelta64(36, "h")
-    t_utc = middle + np.arange(-43200, 43201, 60).astype("timedelta64[s]")
-    wanted_km = dekart_sgp4.state_gcrf(t_utc)[0]
-
-    def apart_m(orbit: NumericalOrbit) -> float:
-        return 1e3 * float(np.sqrt(np.mean(np.sum((orbit.state_gcrf(t_utc)[0] - wanted_km) ** 2, axis=1))))
-
-    fitted = numerical_from(dekart_sgp4, around_utc=middle)
-    assert fitted.epoch_utc == dekart_sgp4.epoch_utc
-    assert apart_m(fitted) == pytest.approx(640.0, rel=0.03)
-    assert apart_m(fitted) < 0.7 * apart_m(numerical_from(dekart_sgp4, "epoch"))
-    with pytest.raises(OptionError, match="fit, epoch"):
-        numerical_from(dekart_sgp4, "mean")  # type: ignore[arg-type]
 
 
 def test_no_times_give_no_states() -> None:
