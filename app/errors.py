@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
-from typing import Final, NotRequired, TypedDict
+from typing import Final, NotRequired
 
 import structlog
 from fastapi import FastAPI, Request
@@ -13,10 +13,15 @@ from fastapi.responses import JSONResponse
 from sqlalchemy.exc import InterfaceError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
+from typing_extensions import TypedDict
 
 from magcal_core.errors import EstimationError, InputError, MagcalError, PropagationError
 
 log = structlog.get_logger()
+
+MOST_OF_A_NAME: Final = 100
+MOST_OF_A_PLACE: Final = 400
+"""Characters of a member's name, and of the way to it, that an answer repeats."""
 
 
 class FaultBody(TypedDict):
@@ -255,7 +260,8 @@ def _validation_error(_request: Request, error: Exception) -> JSONResponse:
 
 def _where(path: Sequence[str | int]) -> str:
     first, *rest = path
-    return "".join([str(first), *(f"[{part}]" if isinstance(part, int) else f".{part}" for part in rest)])
+    steps = (f"[{part}]" if isinstance(part, int) else f".{part[:MOST_OF_A_NAME]}" for part in rest)
+    return "".join([str(first), *steps])[:MOST_OF_A_PLACE]
 
 
 def _http_error(_request: Request, error: Exception) -> JSONResponse:

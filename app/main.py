@@ -16,8 +16,10 @@ from app.auth import FailureLimiter
 from app.dashboard import endpoints as displays
 from app.dashboard import pages
 from app.database import Database
+from app.documentation import complete
 from app.errors import install_handlers
 from app.field import endpoints as field
+from app.idempotency import Running
 from app.jobs import endpoints as jobs
 from app.jobs.engine import Engine, open_engine
 from app.keys import endpoints as keys
@@ -27,7 +29,6 @@ from app.parameter_sets import endpoints as parameter_sets
 from app.satellites import endpoints as satellites
 from app.security import SecurityHeaders
 from app.sessions import endpoints as sessions
-from app.idempotency import Running
 from app.sessions.upload import Admission, sweep_incoming
 from app.settings import Settings
 from app.store import open_store
@@ -63,6 +64,7 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
         api.include_router(room.router)
     app.include_router(api)
     app.include_router(pages.router)
+    complete(app, API, [room.router for room in ROOMS])
     install_handlers(app)
     app.add_middleware(SecurityHeaders)
     app.add_middleware(RequestLog)

@@ -7,6 +7,7 @@ from typing import Literal
 from alembic import context
 from alembic.autogenerate.api import AutogenContext
 
+import app.idempotency
 import app.jobs.tables
 import app.keys.tables
 import app.orbits.tables

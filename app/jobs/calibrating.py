@@ -7,13 +7,15 @@ from importlib.metadata import version
 
 import numpy as np
 
+from app.demo.mission import SESSIONS, simulated, tle_of
 from app.jobs.calibration import CalibrationWork
 from app.jobs.child import Outcome, Report
 from app.jobs.kind import WrongKindError
 from app.orbits.parsing import orbit_of
 from app.parameter_sets.residuals import residual_table, to_bytes
 from app.sessions.repository import samples_of
-from magcal_core.options import CalibrationOptions
+from magcal_core.options import METHODS, CalibrationOptions
+from magcal_core.orbit.sgp4 import Sgp4Orbit
 from magcal_core.pipeline import calibrate as run
 
 
@@ -21,7 +23,7 @@ def calibrate(work: object, report: Report) -> Outcome:
     """Return the parameter set and residual table of one calibration."""
     if not isinstance(work, CalibrationWork):
         raise WrongKindError("not a calibration")
-    orbits = [orbit_of(form, content) for _, form, content in work.orbits]
+    orbits = [orbit_of(content) for _, content in work.orbits]
     found = run(samples_of(work.columns), orbits, CalibrationOptions.from_dict(work.options), progress=report)
     record = without_nan(found.to_dict())
     if not isinstance(record, dict):
@@ -51,5 +53,8 @@ def without_nan(value: object) -> object:
 
 
 def warm(_work: object, _report: Report) -> Outcome:
-    """Calibrate a made-up session, so that a new child has everything loaded and compiled."""
-    return Outcome({})
+    """Calibrate made-up sessions, so that a new child has everything loaded and compiled."""
+    samples = simulated(SESSIONS[0]).samples
+    for method in METHODS:
+        found = run(samples, [Sgp4Orbit(tle_of(SESSIONS[0]))], method=method)
+    return Outcome({}, {"residuals": to_bytes(residual_table(found.residuals))})

@@ -37,10 +37,10 @@ DEFAULT_AGE_DAYS: Final = 14.0
 
 @dataclass(frozen=True, slots=True)
 class CalibrationWork:
-    """What a calibration works on: columnar chunks, orbits as (id, format, content), options, and its inputs' names."""
+    """What a calibration works on: columnar chunks, orbits as (id, content), options, and its inputs' names."""
 
     columns: Sequence[bytes]
-    orbits: Sequence[tuple[str, str, str]]
+    orbits: Sequence[tuple[str, str]]
     options: Mapping[str, object]
     inputs: Sequence[Mapping[str, object]]
 
@@ -94,7 +94,7 @@ class CalibrationKind:
         near = orbits.around(begin, end, _limit_days(job.request))
         return CalibrationWork(
             columns=columns,
-            orbits=[(row.id, row.format, row.content) for row in near],
+            orbits=[(row.id, row.content) for row in near],
             options=job.request,
             inputs=[{"session_id": row.id, "sha256": identity(sessions.chunks(row.id))} for row in rows],
         )
@@ -128,7 +128,7 @@ def _limit_days(options: Mapping[str, object]) -> float:
 
 
 def _check_age(row: OrbitRow, begin: datetime, end: datetime, limit_days: float) -> None:
-    if row.valid_from is not None and row.valid_until is not None and row.valid_from <= end:
+    if row.until is not None and row.epoch <= end and row.until >= begin:
         return
     age = max(begin - row.epoch, row.epoch - end, timedelta(0)) / timedelta(days=1)
     if age > limit_days:

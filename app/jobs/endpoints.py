@@ -12,6 +12,7 @@ from starlette.concurrency import run_in_threadpool
 
 from app.auth import Operator, Reader
 from app.body import StrictJsonRoute
+from app.idempotency import KeyHeader, fingerprint, recall, remember
 from app.jobs.kinds import JobRequest
 from app.jobs.repository import JobRepository
 from app.jobs.schemas import JobQuery, JobRead
@@ -26,11 +27,23 @@ ENDED: Final = frozenset({"succeeded", "failed", "cancelled"})
 
 
 @router.post("", status_code=202)
-def create_job(body: JobRequest, caller: Operator, db: Db, config: Config, queue: Jobs, response: Response) -> JobRead:
-    """Queue a piece of work."""
+def create_job(
+    body: JobRequest,
+    caller: Operator,
+    db: Db,
+    config: Config,
+    queue: Jobs,
+    response: Response,
+    key: KeyHeader = None,
+) -> JobRead:
+    """Queue a piece of work; with an Idempotency-Key, the same request again is the same job."""
+    asked = fingerprint("POST jobs", body.model_dump_json())
     with db.write() as session:
         jobs = JobRepository(session, caller)
-        job = jobs.read([jobs.submit(body, queue, config.max_queued_jobs)])[0]
+        made = recall(session, caller, key, asked)
+        row = jobs.submit(body, queue, config.max_queued_jobs) if made is None else jobs.get(made)
+        remember(session, caller, key, asked, row.id)
+        job = jobs.read([row])[0]
     queue.announce()
     response.headers["Location"] = f"/api/v1/jobs/{job.id}"
     return job

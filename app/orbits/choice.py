@@ -15,4 +15,4 @@ def chosen(rows: Sequence[OrbitRow], at: datetime) -> OrbitRow | None:
 
 
 def _covers(row: OrbitRow, at: datetime) -> bool:
-    return row.valid_from is not None and row.valid_until is not None and row.valid_from <= at <= row.valid_until
+    return row.until is not None and row.epoch <= at <= row.until

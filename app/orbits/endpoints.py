@@ -14,7 +14,7 @@ from app.keys.repository import Caller
 from app.orbits.choice import chosen
 from app.orbits.parsing import parse_message
 from app.orbits.repository import OrbitRepository
-from app.orbits.schemas import OrbitList, OrbitQuery, OrbitRead
+from app.orbits.schemas import OrbitDetail, OrbitList, OrbitQuery, OrbitRead
 from app.orbits.tables import OrbitRow
 from app.resources import Config, Db
 from app.schemas import Page
@@ -32,10 +32,14 @@ ORBIT_BODY: Final = {
 
 
 def _read(row: OrbitRow, at: datetime | None = None) -> OrbitRead:
+    return OrbitRead.model_validate(_values(row, at))
+
+
+def _values(row: OrbitRow, at: datetime | None = None) -> dict[str, object]:
     same = set(OrbitRead.model_fields) - {"satellite", "age_days"}
-    age_days = None if at is None else (at - row.epoch) / timedelta(days=1)
-    values = {name: getattr(row, name) for name in same}
-    return OrbitRead.model_validate(values | {"satellite": row.satellite_id, "age_days": age_days})
+    is_covered = at is not None and row.until is not None and row.epoch <= at <= row.until
+    age_days = None if at is None else 0.0 if is_covered else abs(at - row.epoch) / timedelta(days=1)
+    return {name: getattr(row, name) for name in same} | {"satellite": row.satellite_id, "age_days": age_days}
 
 
 @router.post(
@@ -78,3 +82,11 @@ def list_orbits(satellite_id: str, query: Annotated[OrbitQuery, Query()], caller
             return Page(items=[_read(row) for row in rows], next=cursor)
         row = chosen(orbits.around(query.at, query.at, 0.0), query.at)
     return Page(items=[] if row is None else [_read(row, query.at)])
+
+
+@router.get("/{orbit_id}")
+def get_orbit(satellite_id: str, orbit_id: str, caller: Reader, db: Db) -> OrbitDetail:
+    """Show an orbit with its text."""
+    with db.read() as session:
+        row = OrbitRepository(session, caller, satellite_id).get(orbit_id)
+    return OrbitDetail.model_validate(_values(row) | {"content": row.content})

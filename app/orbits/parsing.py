@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from typing import Final
 
 import numpy as np
 
 from app.errors import UnsupportedMediaError
-from magcal_core.errors import EncodingError
 from magcal_core.orbit import Orbit
-from magcal_core.orbit.sgp4 import Sgp4Orbit
-from magcal_core.orbit.tle import Tle, parse_tles
+from magcal_core.orbit.sources import OrbitSource, parse_orbits, parse_sources
+
+MEDIA_TYPES: Final = frozenset(
+    {"", "text/plain", "application/json", "application/xml", "text/xml", "text/csv", "application/octet-stream"}
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,50 +24,42 @@ class ParsedOrbit:
     format: str
     name: str | None
     epoch: datetime
+    until: datetime | None
     content: str
     details: dict[str, object]
-    valid_from: datetime | None = None
-    valid_until: datetime | None = None
 
 
 def parse_message(body: bytes, media_type: str) -> list[ParsedOrbit]:
-    """Return the orbits of a message.
+    """Return the orbits of a message; each can be propagated at its epoch.
 
     Raises
     ------
-    InputError
-        The message is malformed; its faults say where.
+    InputError, PropagationError
+        The message is malformed, or its elements describe no orbit; the faults say where.
     UnsupportedMediaError
         The content type is not one of an orbit message.
     """
     plain = media_type.partition(";")[0].strip().lower()
-    if plain not in {"", "text/plain", "application/octet-stream"}:
+    if plain not in MEDIA_TYPES:
         raise UnsupportedMediaError("this content type is not an orbit message")
-    try:
-        text = body.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise EncodingError(f"the text is not UTF-8: byte {error.start}") from None
-    return [_of_tle(tle) for tle in parse_tles(text)]
+    found = parse_sources(body, plain or None)
+    for source in found:
+        source.orbit.position_itrf_km(np.array([source.epoch_utc], "datetime64[ns]"))
+    return [_parsed(source) for source in found]
 
 
-def _of_tle(tle: Tle) -> ParsedOrbit:
-    Sgp4Orbit(tle).position_itrf_km(np.array([tle.epoch_utc]))
-    details = {
-        "norad_id": tle.norad_id,
-        "cospar_id": tle.cospar_id,
-        "inclination_deg": tle.inclination_deg,
-        "perigee_km": tle.perigee_km,
-        "apogee_km": tle.apogee_km,
-    }
-    return ParsedOrbit("tle", tle.name or None, instant(tle.epoch_utc), tle.text, details)
+def _parsed(source: OrbitSource) -> ParsedOrbit:
+    details: dict[str, object] = {"norad_id": source.norad_id or None, "cospar_id": source.cospar_id or None}
+    until = None if source.until_utc is None else instant(source.until_utc)
+    return ParsedOrbit(source.kind, source.name or None, instant(source.epoch_utc), until, source.text, details)
+
+
+def orbit_of(content: str) -> Orbit:
+    """Return the orbit that is kept as ``content``."""
+    return parse_orbits(content)[0]
 
 
 def instant(t_utc: np.datetime64) -> datetime:
     """Return a time of the core, rounded down to microseconds."""
     microseconds = int(t_utc.astype("datetime64[us]").astype(np.int64))
     return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=microseconds)
-
-
-def orbit_of(form: str, content: str) -> Orbit:
-    """Return the orbit that is kept as ``content`` in the format ``form``."""
-    return Sgp4Orbit.from_tle(content)

@@ -11,6 +11,7 @@ from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
 from app.database import new_id, utc_now
+from app.errors import NotFoundError
 from app.keys.repository import Caller, record_event
 from app.orbits.parsing import ParsedOrbit
 from app.orbits.schemas import OrbitQuery
@@ -48,8 +49,7 @@ class OrbitRepository:
             "format": orbit.format,
             "name": orbit.name,
             "epoch": orbit.epoch,
-            "valid_from": orbit.valid_from,
-            "valid_until": orbit.valid_until,
+            "until": orbit.until,
             "content": orbit.content,
             "sha256": digest(orbit.content.encode()),
             "details": orbit.details,
@@ -63,6 +63,13 @@ class OrbitRepository:
         same = select(OrbitRow).where(OrbitRow.satellite_id == self.satellite_id, OrbitRow.sha256 == values["sha256"])
         return self.session.scalars(same).one(), False
 
+    def get(self, orbit_id: str) -> OrbitRow:
+        """Return the orbit ``orbit_id``."""
+        row = self.session.get(OrbitRow, orbit_id)
+        if row is None or row.satellite_id != self.satellite_id:
+            raise NotFoundError("no such orbit")
+        return row
+
     def page(self, query: OrbitQuery) -> tuple[list[OrbitRow], str | None]:
         """Return a part of the orbits, the newest first."""
         statement = select(OrbitRow).where(OrbitRow.satellite_id == self.satellite_id)
@@ -73,11 +80,12 @@ class OrbitRepository:
     def around(self, begin: datetime, end: datetime, margin_days: float) -> list[OrbitRow]:
         """Return the orbits that may serve data from ``begin`` to ``end``, and the nearest on each side in any case."""
         own = select(OrbitRow).where(OrbitRow.satellite_id == self.satellite_id)
+        free = own.where(OrbitRow.until.is_(None))
         margin = timedelta(days=margin_days)
-        inside = own.where(OrbitRow.epoch.between(begin - margin, end + margin)).order_by(OrbitRow.epoch)
-        covering = own.where(OrbitRow.valid_from <= end, OrbitRow.valid_until >= begin)
-        before = own.where(OrbitRow.epoch <= begin).order_by(OrbitRow.epoch.desc()).limit(1)
-        after = own.where(OrbitRow.epoch >= begin).order_by(OrbitRow.epoch).limit(1)
+        inside = free.where(OrbitRow.epoch.between(begin - margin, end + margin)).order_by(OrbitRow.epoch)
+        covering = own.where(OrbitRow.epoch <= end, OrbitRow.until >= begin)
+        before = free.where(OrbitRow.epoch <= begin).order_by(OrbitRow.epoch.desc()).limit(1)
+        after = free.where(OrbitRow.epoch >= begin).order_by(OrbitRow.epoch).limit(1)
         found: dict[str, OrbitRow] = {}
         for statement in (before, after, covering.limit(MOST_CANDIDATES), inside.limit(MOST_CANDIDATES)):
             found |= {row.id: row for row in self.session.scalars(statement)}

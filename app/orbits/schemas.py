@@ -19,13 +19,18 @@ class OrbitRead(Record):
     format: OrbitFormat
     name: str | None
     epoch: UtcTime
-    valid_from: UtcTime | None
-    valid_until: UtcTime | None
+    until: UtcTime | None = Field(description="End of an ephemeris; its epoch is its start.")
+    sha256: str
     details: dict[str, JsonValue]
-    content: str = Field(description="The orbit as it was sent, alone.")
     created_at: UtcTime
     created_by: str | None
-    age_days: float | None = Field(None, description="With `at`: the time asked for minus the epoch, days.")
+    age_days: float | None = Field(None, description="With `at`: distance of the time asked for from the epoch, days.")
+
+
+class OrbitDetail(OrbitRead):
+    """One source of position with its text."""
+
+    content: str
 
 
 class OrbitList(Record):

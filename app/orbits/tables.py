@@ -25,8 +25,7 @@ class OrbitRow(Base):
     format: Mapped[str] = mapped_column(String(8))
     name: Mapped[str | None] = mapped_column(String(200))
     epoch: Mapped[datetime]
-    valid_from: Mapped[datetime | None]
-    valid_until: Mapped[datetime | None]
+    until: Mapped[datetime | None]
     content: Mapped[str] = mapped_column(Text)
     sha256: Mapped[str] = mapped_column(String(64))
     details: Mapped[dict[str, object]] = mapped_column(JsonColumn)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Annotated, Any, Final
 
 import numpy as np
-from fastapi import APIRouter, Depends, Header, Query, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from app.auth import Reader, Station
 from app.body import StrictJsonRoute
+from app.idempotency import KeyHeader
 from app.keys.repository import Caller
 from app.resources import Blobs, Config, Db, Jobs
 from app.satellites.repository import SatelliteRepository
@@ -37,7 +38,6 @@ TABLES: Final[dict[int | str, dict[str, Any]]] = {
         "content": {kind: {"schema": {"type": "string"}} for kind, form in MEDIA_TYPES.items() if form in WRITERS},
     }
 }
-Key = Annotated[str | None, Header(alias="Idempotency-Key", min_length=1, max_length=200, pattern=r"^[\x21-\x7e]+$")]
 
 
 async def _ingest(caller: Station, db: Db, store: Blobs, queue: Jobs, config: Config) -> Ingest:
@@ -79,7 +79,7 @@ async def upload_session(
     db: Db,
     config: Config,
     ingest: Ingests,
-    key: Key = None,
+    key: KeyHeader = None,
 ) -> SessionRead:
     """Send telemetry of one magnetometer; the same bytes again are the same session."""
     await run_in_threadpool(_require_satellite, satellite_id, caller, db)

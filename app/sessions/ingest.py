@@ -14,7 +14,7 @@ from app.keys.repository import Caller
 from app.satellites.repository import SatelliteRepository
 from app.satellites.schemas import Policy
 from app.satellites.tables import Magnetometer
-from app.sessions.idempotency import fingerprint, recall, remember
+from app.idempotency import fingerprint, recall, remember
 from app.sessions.reading import SensorReading, format_of
 from app.sessions.repository import Parsed, SessionRepository
 from app.sessions.schemas import UploadQuery

@@ -62,15 +62,3 @@ class Chunk(Base):
     samples: Mapped[int]
     columns_sha256: Mapped[str] = mapped_column(String(64))
     created_at: Mapped[datetime]
-
-
-class IdempotencyKey(Base):
-    """What was made by a request with an Idempotency-Key; each API key has its own."""
-
-    __tablename__ = "idempotency_key"
-
-    owner: Mapped[str] = mapped_column(String(32), primary_key=True)
-    key: Mapped[str] = mapped_column(String(200), primary_key=True)
-    fingerprint: Mapped[str] = mapped_column(String(64))
-    resource_id: Mapped[str] = mapped_column(String(32))
-    created_at: Mapped[datetime]

@@ -2,8 +2,8 @@
 
 import sqlalchemy as sa
 from alembic import op
-
-from app.database import JsonColumn, UtcDateTime
+from app.database import JsonColumn
+from app.database import UtcDateTime
 
 revision = "0001"
 down_revision = None
@@ -148,8 +148,7 @@ def upgrade() -> None:
         sa.Column("format", sa.String(length=8), nullable=False),
         sa.Column("name", sa.String(length=200), nullable=True),
         sa.Column("epoch", UtcDateTime(), nullable=False),
-        sa.Column("valid_from", UtcDateTime(), nullable=True),
-        sa.Column("valid_until", UtcDateTime(), nullable=True),
+        sa.Column("until", UtcDateTime(), nullable=True),
         sa.Column("content", sa.Text(), nullable=False),
         sa.Column("sha256", sa.String(length=64), nullable=False),
         sa.Column("details", JsonColumn, nullable=False),

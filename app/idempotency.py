@@ -5,13 +5,32 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import datetime
+from typing import Annotated
 
-from sqlalchemy.orm import Session
+from fastapi import Header
+from sqlalchemy import String
+from sqlalchemy.orm import Mapped, Session, mapped_column
 
-from app.database import utc_now
+from app.database import Base, utc_now
 from app.errors import IdempotencyMismatchError, InProgressError
 from app.keys.repository import Caller
-from app.sessions.tables import IdempotencyKey
+
+KeyHeader = Annotated[
+    str | None, Header(alias="Idempotency-Key", min_length=1, max_length=200, pattern=r"^[\x21-\x7e]+$")
+]
+
+
+class IdempotencyKey(Base):
+    """What was made by a request with an Idempotency-Key; each API key has its own."""
+
+    __tablename__ = "idempotency_key"
+
+    owner: Mapped[str] = mapped_column(String(32), primary_key=True)
+    key: Mapped[str] = mapped_column(String(200), primary_key=True)
+    fingerprint: Mapped[str] = mapped_column(String(64))
+    resource_id: Mapped[str] = mapped_column(String(32))
+    created_at: Mapped[datetime]
 
 
 class Running:

@@ -1,0 +1,37 @@
+"""A worker process: takes jobs until it is asked to stop, then lets those in hand end or hands them back."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from typing import Final
+
+import structlog
+
+from app.database import Database
+from app.jobs.engine import open_engine
+from app.logs import configure_logs
+from app.migrate import upgrade
+from app.settings import Settings
+from app.store import open_store
+
+STOP_GRACE_S: Final = 20.0
+
+log = structlog.get_logger()
+
+
+def work(settings: Settings, concurrency: int) -> None:
+    """Work on jobs until SIGTERM or SIGINT."""
+    configure_logs(settings)
+    database = Database(settings)
+    upgrade(database, settings)
+    engine = open_engine(database, open_store(settings), settings, concurrency)
+    asked = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: asked.set())
+    if engine.workers is not None:
+        engine.workers.start()
+        log.info("working", concurrency=concurrency)
+        asked.wait()
+        engine.workers.stop(STOP_GRACE_S)
+    database.close()
