@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from sgp4.api import SGP4_ERRORS, Satrec
 
 from magcal_core.errors import PropagationError, TleFormatError
-from magcal_core.orbit.frames import State, convert_state, teme_to_itrf
+from magcal_core.orbit.dense import interpolated, interval_ns
+from magcal_core.orbit.earth_fixed import teme_to_itrf_fast
+from magcal_core.orbit.frames import State, convert_state
 from magcal_core.orbit.timescales import Times, julian_utc, nanoseconds
 from magcal_core.orbit.tle import parse_tles
 
@@ -95,7 +97,6 @@ class Sgp4Orbit:
         PropagationError
             SGP4 reports an error, or a position is not finite or not between perigee and apogee with a margin.
         """
-        nanoseconds(t_utc)
         codes, r_teme_km, v_teme_km_s = self._satrec.sgp4_array(*julian_utc(t_utc))
         if codes.any():
             first = int(np.flatnonzero(codes)[0])
@@ -104,8 +105,20 @@ class Sgp4Orbit:
         return r_teme_km, v_teme_km_s
 
     def position_itrf_km(self, t_utc: Times) -> Floats:
-        """Return the position at ``t_utc``, shape (n, 3), ITRF, km."""
-        return teme_to_itrf(t_utc, self.state_teme(t_utc)[0])
+        """Return the position at ``t_utc``, shape (n, 3), ITRF, km.
+
+        Where the samples are dense it is interpolated between nodes (`magcal_core.orbit.dense`), within 1 cm.
+        """
+        stamps = nanoseconds(t_utc)
+        step_ns = interval_ns(self.elements.perigee_km, self.elements.apogee_km)
+        epoch_ns = int(self.epoch_utc.astype("datetime64[ns]").astype(np.int64))
+        r_itrf_km = interpolated(stamps, epoch_ns, step_ns, self._each_position)
+        return self._each_position(stamps) if r_itrf_km is None else r_itrf_km
+
+    def _each_position(self, stamps_ns: NDArray[np.int64]) -> Floats:
+        """Return the position, shape (n, 3), ITRF, km, propagated to every time."""
+        t_utc = stamps_ns.view("datetime64[ns]")
+        return teme_to_itrf_fast(t_utc, self.state_teme(t_utc)[0])
 
     def state_gcrf(self, t_utc: Times) -> State:
         """Return position, km, and velocity, km/s, at ``t_utc``, each of shape (n, 3), GCRF."""

@@ -1,0 +1,110 @@
+"""The fast ways to a position against the slow ones."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from magcal_core.errors import ModelRangeError, PropagationError
+from magcal_core.orbit.dense import interpolated, interval_ns
+from magcal_core.orbit.earth_fixed import teme_to_itrf_fast
+from magcal_core.orbit.frames import teme_to_itrf
+from magcal_core.orbit.sgp4 import Sgp4Orbit
+from magcal_core.orbit.tle import checksum
+
+Floats = NDArray[np.float64]
+
+MOLNIYA = (
+    "1 25847U 99036A   22050.50000000  .00000000  00000-0  00000+0 0  999",
+    "2 25847  63.4000 120.0000 7300000 270.0000  10.0000  2.00600000    0",
+)
+LOW = (
+    "1 00001U          22050.50000000  .00010000  00000-0  50000-3 0  999",
+    "2 00001  51.6000 120.0000 0010000  90.0000  10.0000 15.80000000    0",
+)
+
+
+def _orbit(lines: tuple[str, str]) -> Sgp4Orbit:
+    return Sgp4Orbit.from_tle("\n".join(line.ljust(68) + str(checksum(line)) for line in lines))
+
+
+@pytest.fixture(scope="module")
+def dekart(data_dir: Path) -> Sgp4Orbit:
+    return Sgp4Orbit.from_tle("\n".join((data_dir / "dekart.tle.txt").read_text().splitlines()[:3]))
+
+
+def _slow(orbit: Sgp4Orbit, t_utc: NDArray[np.datetime64]) -> Floats:
+    return teme_to_itrf(t_utc, orbit.state_teme(t_utc)[0])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_fast_rotation_is_the_slow_one_over_half_a_century(seed: int) -> None:
+    """1e-8 km: rounding of the angle at 7000 km. Unsorted times, leap seconds and midnights among them."""
+    rng = np.random.default_rng(seed)
+    t_utc = np.datetime64("1973-01-02", "ns") + rng.integers(0, 54 * 365 * 86_400_000, 3000).astype("timedelta64[ms]")
+    t_utc[:6] = np.array(
+        [
+            "1973-01-02",
+            "2016-12-31T23:59:59.999",
+            "2017-01-01",
+            "2022-02-19T23:59:59.999999999",
+            "2022-02-20",
+            "2000-01-01T12",
+        ],
+        "datetime64[ns]",
+    )
+    r_km = rng.normal(size=(3000, 3)) * 4000.0
+    np.testing.assert_allclose(teme_to_itrf_fast(t_utc, r_km), teme_to_itrf(t_utc, r_km), rtol=0, atol=1e-8)
+
+
+def test_the_fast_rotation_reaches_the_end_of_the_table_and_no_further() -> None:
+    r_km = np.full((1, 3), 4000.0)
+    with pytest.raises(ModelRangeError, match="Earth orientation"):
+        teme_to_itrf_fast(np.array(["2050-01-01"], "datetime64[ns]"), r_km)
+    assert teme_to_itrf_fast(np.zeros(0, "datetime64[ns]"), np.zeros((0, 3))).shape == (0, 3)
+
+
+@pytest.mark.parametrize("step_ms", [100, 1000, 10_000, 20_000])
+def test_dense_positions_of_a_low_orbit_are_within_a_millimetre(step_ms: int, dekart: Sgp4Orbit) -> None:
+    t_utc = dekart.epoch_utc + (np.arange(-2000, 8000) * step_ms).astype("timedelta64[ms]")
+    np.testing.assert_allclose(dekart.position_itrf_km(t_utc), _slow(dekart, t_utc), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("lines", [MOLNIYA, LOW])
+def test_dense_positions_of_any_orbit_are_within_a_centimetre(lines: tuple[str, str]) -> None:
+    """Two revolutions of an eccentric deep-space orbit; a low orbit with drag over a day."""
+    orbit = _orbit(lines)
+    t_utc = orbit.epoch_utc + (np.arange(86_000)).astype("timedelta64[s]")
+    np.testing.assert_allclose(orbit.position_itrf_km(t_utc), _slow(orbit, t_utc), rtol=0, atol=1e-5)
+
+
+def test_order_gaps_and_repetition_do_not_matter(dekart: Sgp4Orbit) -> None:
+    """Sessions months apart, shuffled, with repeated times: each time has the position that it has alone, to 1 mm."""
+    rng = np.random.default_rng(0)
+    days = np.concatenate([rng.uniform(0, 0.2, 4000), rng.uniform(9.0, 9.2, 4000), np.full(200, 3.0)])
+    t_utc = dekart.epoch_utc + (rng.permutation(days) * 86400e9).astype("timedelta64[ns]")
+    found_km = dekart.position_itrf_km(t_utc)
+    np.testing.assert_allclose(found_km, _slow(dekart, t_utc), rtol=0, atol=1e-6)
+    backwards_km = dekart.position_itrf_km(t_utc[::-1])
+    np.testing.assert_array_equal(backwards_km[::-1], found_km)
+
+
+def test_few_or_scattered_samples_are_not_interpolated(dekart: Sgp4Orbit) -> None:
+    epoch_ns = int(dekart.epoch_utc.astype(np.int64))
+    step_ns = interval_ns(dekart.elements.perigee_km, dekart.elements.apogee_km)
+
+    def never(stamps_ns: NDArray[np.int64]) -> Floats:
+        raise PropagationError("not wanted")
+
+    for spacing_s, n in ((1, 999), (100, 5000), (100_000, 5000)):
+        stamps = epoch_ns + np.arange(n) * spacing_s * 10**9
+        assert interpolated(stamps, epoch_ns, step_ns, never) is None
+    with pytest.raises(PropagationError):
+        interpolated(epoch_ns + np.arange(5000) * 10**9, epoch_ns, step_ns, never)
+
+
+def test_the_distance_of_nodes_follows_the_speed_at_the_perigee() -> None:
+    """0.1 rad of a 6900 km circle at 7.6 km/s is 90 s; at the perigee of a Molniya orbit, 9.9 km/s, 72 s."""
+    assert interval_ns(6900.0, 6900.0) == 90 * 10**9
+    assert interval_ns(7170.0, 45900.0) == pytest.approx(72 * 10**9, abs=2 * 10**9)
