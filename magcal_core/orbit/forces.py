@@ -71,6 +71,16 @@ class ForceTables(NamedTuple):
     bodies_km_s: Floats
     """Their velocities, shape (k, 2, 3), GCRF, km/s."""
 
+    @property
+    def from_s(self) -> float:
+        """First time that the tables are good for, s since the epoch."""
+        return (self.first_node + 1) * NODE_S
+
+    @property
+    def until_s(self) -> float:
+        """Last time that the tables are good for, s since the epoch."""
+        return (self.first_node + len(self.era_rad) - 2) * NODE_S
+
 
 class ForceModel(NamedTuple):
     """Which forces act, as the kernels want it."""

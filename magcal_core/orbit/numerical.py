@@ -115,6 +115,7 @@ class NumericalOrbit:
         self.rotation: Final = rotation
         self._model: Final = force_model(self.field, third_bodies, LOVE_NUMBER_K2 if tide else 0.0, drag)
         self._steps: dict[float, dop853.Steps] = {}
+        self._tables: ForceTables | None = None
 
     @property
     def model(self) -> str:
@@ -195,8 +196,17 @@ class NumericalOrbit:
         return np.asarray(np.matvec(matrices, states[:, :3]))
 
     def tables(self, from_s: float, until_s: float) -> ForceTables:
-        """Return Earth rotation, Sun and Moon as the forces use them from ``from_s`` to ``until_s`` since the epoch."""
-        return force_tables(self.epoch_utc, from_s, until_s, self.ephemeris, self.rotation)
+        """Return Earth rotation, Sun and Moon as the forces use them from ``from_s`` to ``until_s`` or longer.
+
+        Seconds since the epoch; tables are kept and grow with what is asked.
+        """
+        known = self._tables
+        if known is not None:
+            if known.from_s <= from_s and until_s <= known.until_s:
+                return known
+            from_s, until_s = min(from_s, known.from_s), max(until_s, known.until_s)
+        self._tables = force_tables(self.epoch_utc, from_s, until_s, self.ephemeris, self.rotation)
+        return self._tables
 
     def drag_acceleration_km_s2(self, t_utc: Times) -> Floats:
         """Return the acceleration by drag along the orbit at ``t_utc``, shape (n, 3), GCRF, km/s2; 0 without drag."""
