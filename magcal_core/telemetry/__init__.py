@@ -194,7 +194,7 @@ def _read_bytes(source: Path | str | bytes | BinaryIO) -> bytes:
 def _chosen_format(asked: str | None, name: str | Path | None, body: bytes) -> str:
     if asked is not None and asked not in READERS:
         raise OptionError(f"unknown format {asked!r}; known are {', '.join(READERS)}")
-    if not body.strip():
+    if not body[:4096].strip() and not body.strip():
         raise TelemetryFormatError("the telemetry is empty")
     kind = asked or (None if name is None else format_of_name(name)) or format_of_bytes(body)
     looks = format_of_bytes(body)

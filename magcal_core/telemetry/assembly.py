@@ -141,8 +141,9 @@ def _optional(table: RawTable, names: tuple[str, ...], order: NDArray[np.intp] |
 
 
 def _flags(reading: Floats, factor: float, range_nt: float | None) -> NDArray[np.uint16]:
-    is_missing = np.isnan(reading[:, 0]) | np.isnan(reading[:, 1]) | np.isnan(reading[:, 2])
-    flags = np.where(is_missing, np.uint16(SampleFlag.NOT_FINITE), np.uint16(0))
+    # The sum of a row is NaN where one of its cells is; cells are small enough for it not to overflow.
+    is_missing = np.isnan(np.einsum("ij->i", reading))
+    flags: NDArray[np.uint16] = is_missing.astype(np.uint16) * np.uint16(SampleFlag.NOT_FINITE)
     if range_nt is not None:
         # A reading at the rail may miss the range by rounding.
         rail = range_nt / factor * (1.0 - 1e-9)

@@ -34,6 +34,8 @@ EXACT_QUATERNION: Final = 1e-9
 """Distance of the norm from 1 up to which a quaternion is left as it was sent."""
 MEDIAN_OF: Final = 10_000
 """Samples, evenly spaced, that a median is taken of."""
+_CELLS_AT_ONCE: Final = 1 << 14
+"""Cells that are compared with all fill values while they are in the processor's cache."""
 GAP_STEPS: Final = 1.5
 """A step longer than this many typical steps is a gap."""
 
@@ -76,11 +78,15 @@ class Quality:
 
 
 def is_missing(values: Floats) -> Mask:
-    """Return which cells hold no reading: empty, not finite, past all measure, or a logger's fill value."""
-    large = np.abs(values)
-    missing = ~(large <= LARGEST_CELL)
-    for fill in FILL_VALUES:
-        missing |= values == fill
+    """Return which cells hold no reading: empty, not finite, past all measure, or a logger's fill value; shape (n,)."""
+    missing = np.empty(len(values), bool)
+    for at in range(0, len(values), _CELLS_AT_ONCE):
+        cells = values[at : at + _CELLS_AT_ONCE]
+        part = np.abs(cells) <= LARGEST_CELL
+        np.logical_not(part, out=part)
+        for fill in FILL_VALUES:
+            part |= cells == fill
+        missing[at : at + _CELLS_AT_ONCE] = part
     return missing
 
 
@@ -103,6 +109,8 @@ def flag_repeated_times(samples: Samples) -> Samples:
     Of samples with one time and equal values the first is kept and the others are ``DUPLICATE_TIME``; where the
     values differ all are ``CONFLICTING_TIME``. Samples without a reading take no part.
     """
+    if not (samples.t_utc[1:] == samples.t_utc[:-1]).any():
+        return samples
     known = np.flatnonzero((samples.flags & np.uint16(SampleFlag.NOT_FINITE)) == 0)
     t = samples.t_utc[known]
     is_repeat = np.zeros(len(t), bool)
@@ -182,9 +190,10 @@ def check_units(samples: Samples, unit: str, field_range_nt: tuple[float, float]
     UnitsError
         The message names the unit that fits and the factor; nothing is converted.
     """
-    used = samples.take(samples.is_used)
-    if len(used) == 0:
+    rows = np.flatnonzero(samples.is_used)
+    if len(rows) == 0:
         return
+    used = samples.take(rows[:: max(len(rows) // MEDIAN_OF, 1)])
     reading_nt = _median_norm(used.h_nt)
     reference_nt = _median_reference(used)
     if reference_nt is None:
@@ -207,13 +216,12 @@ def check_units(samples: Samples, unit: str, field_range_nt: tuple[float, float]
 
 
 def _median_norm(vectors: Floats) -> float:
-    thinned = vectors[:: max(len(vectors) // MEDIAN_OF, 1)]
-    return float(np.median(np.linalg.norm(thinned, axis=1)))
+    return float(np.median(np.linalg.norm(vectors, axis=1)))
 
 
 def _median_reference(samples: Samples) -> float | None:
     if samples.b_ref_magnitude_nt is not None:
-        return float(np.median(np.abs(samples.b_ref_magnitude_nt[:: max(len(samples) // MEDIAN_OF, 1)])))
+        return float(np.median(np.abs(samples.b_ref_magnitude_nt)))
     vectors = samples.b_ref_base_nt if samples.b_ref_base_nt is not None else samples.b_ref_gcrf_nt
     return None if vectors is None else _median_norm(vectors)
 
@@ -228,9 +236,10 @@ def report(
 ) -> Quality:
     """Return the quality report of ``samples``, which are in time order."""
     t_ns = samples.t_utc.astype("datetime64[ns]").view(np.int64)
-    steps_s: Floats = (t_ns[1:] - t_ns[:-1]) / 1e9
-    steps_s = steps_s[steps_s > 0]
-    step_s = float(np.median(steps_s)) if steps_s.size else None
+    steps_ns = t_ns[1:] - t_ns[:-1]
+    if steps_ns.size and steps_ns.min() == 0:
+        steps_ns = steps_ns[steps_ns > 0]
+    step_ns = float(np.median(steps_ns)) if steps_ns.size else None
     return Quality(
         rows=len(samples) + rows_without_time,
         used=int(np.count_nonzero(samples.is_used)),
@@ -239,10 +248,10 @@ def report(
         rows_out_of_order=rows_out_of_order,
         quaternions_normalised=quaternions_normalised,
         columns_ignored=columns_ignored,
-        span_s=float(steps_s.sum()),
-        step_s=step_s,
-        gaps=0 if step_s is None else int(np.count_nonzero(steps_s > GAP_STEPS * step_s)),
-        longest_gap_s=float(steps_s.max(initial=0.0)),
+        span_s=float(steps_ns.sum()) / 1e9,
+        step_s=None if step_ns is None else step_ns / 1e9,
+        gaps=0 if step_ns is None else int(np.count_nonzero(steps_ns > GAP_STEPS * step_ns)),
+        longest_gap_s=float(steps_ns.max(initial=0)) / 1e9,
     )
 
 

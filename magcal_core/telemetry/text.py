@@ -5,12 +5,18 @@ from __future__ import annotations
 import codecs
 from typing import Final
 
+import numpy as np
+
 from magcal_core.errors import EncodingError, TelemetryFormatError, TooManyRowsError
 
 MAX_LINE_BYTES: Final = 4096
 """Longest line of a table."""
 MAX_ROWS: Final = 20_000_000
 """Most rows of one table."""
+
+_BLOCK_BYTES: Final = MAX_LINE_BYTES // 2
+"""A line that is too long covers at least one aligned block of half its length, and that block has no line end."""
+_BLOCKS_AT_ONCE: Final = 128
 
 _FOREIGN_MARKS: Final = {
     codecs.BOM_UTF32_LE: "UTF-32",
@@ -52,8 +58,20 @@ def check_lines(text: bytes, *, max_rows: int = MAX_ROWS) -> None:
     TooManyRowsError
         There are more than ``max_rows`` rows and a header.
     """
-    check_row_count(text.count(b"\n"), max_rows)
     end = b"\n" if b"\n" in text else b"\r"
+    codes = np.frombuffer(text, np.uint8)
+    blocks = codes[: len(codes) // _BLOCK_BYTES * _BLOCK_BYTES].reshape(-1, _BLOCK_BYTES)
+    lines, may_be_long = 0, False
+    for at in range(0, len(blocks), _BLOCKS_AT_ONCE):
+        is_end = blocks[at : at + _BLOCKS_AT_ONCE] == end[0]
+        lines += int(np.count_nonzero(is_end))
+        may_be_long = may_be_long or not is_end.any(axis=1).all()
+    check_row_count(lines + text.count(end, blocks.size), max_rows)
+    if may_be_long or len(text) - blocks.size > MAX_LINE_BYTES:
+        _check_line_lengths(text, end)
+
+
+def _check_line_lengths(text: bytes, end: bytes) -> None:
     at = 0
     # Hop to the last line end within reach; a window without one is a line that is too long.
     while len(text) - at > MAX_LINE_BYTES:

@@ -186,6 +186,8 @@ def to_utc_ns(t_ns: Nanoseconds, *, time_scale: str, is_epoch: bool) -> Nanoseco
 
 def check_plausible(t_ns: Nanoseconds, faults: FaultList) -> None:
     """Note every time outside 1972 to 2099."""
+    if t_ns.size and t_ns.min() >= EARLIEST_NS and t_ns.max() < LATEST_NS:
+        return
     is_odd = (t_ns != NO_TIME) & ((t_ns < EARLIEST_NS) | (t_ns >= LATEST_NS))
     for row in np.flatnonzero(is_odd):
         faults.add(
