@@ -110,7 +110,7 @@ def get_session_residual(
             orbits = OrbitRepository(session, SYSTEM, telemetry.satellite_id)
             near = orbits.around(telemetry.data_from, telemetry.data_until, 14.0)
     samples = _samples(session_id, caller, db, store)
-    residual = residual_under(samples, [orbit_of(one.format, one.content) for one in near], record_of(row))
+    residual = residual_under(samples, [orbit_of(one.content) for one in near], record_of(row))
     return ResidualSummary(
         parameter_set_id=row.id,
         samples=residual.size,
