@@ -91,22 +91,25 @@ class Samples:
         if self.flags.size == 0 and n:
             object.__setattr__(self, "flags", np.zeros(n, np.uint16))
         widths = {"h_nt": 3, "q_base_gcrf": 4, "b_ref_base_nt": 3, "b_ref_gcrf_nt": 3, "r_itrf_km": 3}
-        for name, array in self._columns().items():
-            want = (n, widths[name]) if name in widths else (n,)
+        columns = [(name, array, widths.get(name)) for name, array in self._own_columns().items()]
+        columns += [(name, array, None) for name, array in self.housekeeping.items()]
+        for name, array, width in columns:
+            want = (n,) if width is None else (n, width)
             if array.shape != want:
                 raise TelemetryValueError(f"column {name} has shape {array.shape}, want {want}")
 
     def __len__(self) -> int:
         return len(self.t_utc)
 
-    def _columns(self) -> dict[str, NDArray[np.generic]]:
+    def _own_columns(self) -> dict[str, NDArray[np.generic]]:
         own = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "housekeeping"}
-        return {name: a for name, a in (own | dict(self.housekeeping)).items() if a is not None}
+        return {name: array for name, array in own.items() if array is not None}
 
     @property
     def is_used(self) -> NDArray[np.bool_]:
         """Samples that no flag keeps out of a fit, shape (n,)."""
-        return (self.flags & np.uint16(EXCLUDED)) == 0
+        used: NDArray[np.bool_] = (self.flags & np.uint16(EXCLUDED)) == 0
+        return used
 
     @property
     def has_reference(self) -> bool:
@@ -116,7 +119,7 @@ class Samples:
 
     def take(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Samples:
         """Return the samples that ``index`` selects, columns and flags alike."""
-        own = {name: a[index] for name, a in self._columns().items() if name not in self.housekeeping}
+        own = {name: array[index] for name, array in self._own_columns().items()}
         keeping = {name: column[index] for name, column in self.housekeeping.items()}
         return Samples(**own, housekeeping=keeping)  # type: ignore[arg-type]
 

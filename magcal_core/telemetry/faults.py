@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import heapq
 import re
 from typing import Final
 
@@ -30,36 +29,31 @@ _GRAVEST_FIRST: Final[tuple[type[InputError], ...]] = (
 
 
 class FaultList:
-    """Faults of one table: the first hundred in the order of its rows are kept, all are counted.
-
-    Readers go through a table column by column; whoever mends it goes from its first line to its last.
-    """
+    """Faults of one table: the first hundred in the order of the table are kept, all are counted."""
 
     def __init__(self, table: str) -> None:
         self.table = table
         self.count = 0
-        self._first: list[tuple[int, int, Fault]] = []
+        self._of_column: dict[str, list[Fault]] = {}
         self._kinds: set[type[InputError]] = set()
 
     def add(self, kind: type[InputError], where: str, why: str, value: object = None) -> None:
-        """Note one fault; ``kind`` is the error that it alone would raise."""
+        """Note one fault; ``kind`` is the error that it alone would raise.
+
+        Faults of one column are noted in the order of its rows; ``where`` is such as ``line 17, column by``.
+        """
         self.count += 1
         self._kinds.add(kind)
-        row = _ROW.match(where)
-        place = -int(row[1]) if row else 0, -self.count
-        if len(self._first) == FIRST_FAULTS and place < self._first[0][:2]:
-            return
-        shown = None if value is None else str(value)[:SHOWN_VALUE]
-        entry = (*place, Fault(where, why, shown))
-        if len(self._first) < FIRST_FAULTS:
-            heapq.heappush(self._first, entry)
-        else:
-            heapq.heapreplace(self._first, entry)
+        noted = self._of_column.setdefault(where.partition(", ")[2], [])
+        if len(noted) < FIRST_FAULTS:
+            shown = None if value is None else str(value)[:SHOWN_VALUE]
+            noted.append(Fault(where, why, shown))
 
     @property
     def first(self) -> list[Fault]:
-        """The faults that are kept, in the order of the rows, those of the table as a whole before them."""
-        return [fault for *_, fault in sorted(self._first, key=lambda entry: entry[:2], reverse=True)]
+        """The first hundred faults, by row and then by column as they were noted."""
+        kept = [fault for noted in self._of_column.values() for fault in noted]
+        return sorted(kept, key=_row)[:FIRST_FAULTS]
 
     def raise_if_any(self) -> None:
         """Raise the gravest kind of error noted, with every fault kept.
@@ -74,5 +68,12 @@ class FaultList:
         kind = next((k for k in _GRAVEST_FIRST if k in self._kinds), InputError)
         noun = "fault" if self.count == 1 else "faults"
         more = "" if self.count <= FIRST_FAULTS else f", the first {FIRST_FAULTS} listed"
-        kept = self.first
-        raise kind(f"{self.count} {noun} in the {self.table}{more}; first: {kept[0].where}: {kept[0].why}", kept)
+        first = self.first
+        message = f"{self.count} {noun} in the {self.table}{more}; first: {first[0].where}: {first[0].why}"
+        raise kind(message, first)
+
+
+def _row(fault: Fault) -> int:
+    """Return the number of the row or line of a fault, 0 for one of the whole table."""
+    number = re.match(r"(?:line|row) (\d+)", fault.where)
+    return int(number[1]) if number else 0

@@ -70,7 +70,13 @@ def test_a_hundred_faults_are_listed_and_all_are_counted() -> None:
     text = HEADER + "".join(f"{1.6e9 + i},x,y,1\n" for i in range(150))
     with pytest.raises(TelemetryValueError, match="300 faults") as caught:
         read_samples(text.encode())
+    assert [fault.where for fault in caught.value.faults[:3]] == [
+        "line 2, column bx",
+        "line 2, column by",
+        "line 3, column bx",
+    ]
     assert len(caught.value.faults) == 100
+    assert caught.value.faults[-1].where == "line 51, column by"
 
 
 def test_faults_are_listed_in_the_order_of_lines() -> None:
