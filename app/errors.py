@@ -264,13 +264,17 @@ def _where(path: Sequence[str | int]) -> str:
     return "".join([str(first), *steps])[:MOST_OF_A_PLACE]
 
 
-def _http_error(_request: Request, error: Exception) -> JSONResponse:
+def _http_error(request: Request, error: Exception) -> JSONResponse:
     if not isinstance(error, HTTPException):
         raise error
     codes = {404: "not_found", 405: "method_not_allowed", 413: "upload_too_large", 400: "bad_request"}
     code: str = getattr(error, "code", codes.get(error.status_code, "http"))
     body = problem(error.status_code, code, str(error.detail))
-    return problem_response(body, error.headers)
+    headers = dict(error.headers or {})
+    allowed = request.app.state.methods.of(request.url.path) if error.status_code == 405 else []
+    if allowed:
+        headers["Allow"] = ", ".join(allowed)
+    return problem_response(body, headers)
 
 
 def _database_error(_request: Request, error: Exception) -> JSONResponse:

@@ -24,6 +24,7 @@ from app.jobs import endpoints as jobs
 from app.jobs.engine import Engine, open_engine
 from app.keys import endpoints as keys
 from app.logs import RequestLog
+from app.methods import Methods
 from app.orbits import endpoints as orbits
 from app.parameter_sets import endpoints as parameter_sets
 from app.satellites import endpoints as satellites
@@ -64,7 +65,9 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
         api.include_router(room.router)
     app.include_router(api)
     app.include_router(pages.router)
-    complete(app, API, [room.router for room in ROOMS])
+    rooms = [room.router for room in ROOMS]
+    complete(app, API, rooms)
+    app.state.methods = Methods([("", health.router), ("", pages.router), *((API, room) for room in rooms)])
     install_handlers(app)
     app.add_middleware(SecurityHeaders)
     app.add_middleware(RequestLog)
