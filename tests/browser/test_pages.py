@@ -1,0 +1,167 @@
+"""Every page: readable by everyone, reachable by keyboard, alone on its machine, and fast; pictures are kept."""
+
+import csv
+import io
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Browser, Page, expect
+
+from tests.browser.conftest import Service, Watched, sign_in, watched
+
+pytestmark = pytest.mark.browser
+PICTURES = Path(__file__).resolve().parents[2] / "artefacts" / "pages"
+PAGES = ["overview", "satellite", "session", "parameter-set", "compare", "jobs", "keys"]
+LOOKS = [("light", 1366, 768), ("dark", 1366, 768), ("light", 1920, 1080), ("dark", 1920, 1080)]
+
+
+@pytest.fixture(scope="module")
+def addresses(service: Service, satellite: str) -> dict[str, str]:
+    with service.client() as client:
+        sets = client.get(f"/parameter-sets?satellite={satellite}").json()["items"]
+    return {
+        "overview": "/",
+        "satellite": f"/satellites/{satellite}",
+        "session": f"/sessions/{sets[0]['session_ids'][0]}",
+        "parameter-set": f"/parameter-sets/{sets[0]['id']}",
+        "compare": f"/compare?first={sets[0]['id']}&second={sets[1]['id']}",
+        "jobs": "/jobs",
+        "keys": "/keys",
+    }
+
+
+def settle(page: Page) -> None:
+    """Scroll through the page until every figure is drawn."""
+    page.locator("h1").first.wait_for()
+    page.wait_for_load_state("networkidle")
+    for _ in range(60):
+        waiting = page.locator(".plot[aria-busy]")
+        if waiting.count() == 0:
+            break
+        waiting.first.scroll_into_view_if_needed()
+        page.wait_for_timeout(100)
+    assert page.locator(".plot[aria-busy]").count() == 0
+    assert page.locator('.plot[data-drawn="failed"]').count() == 0
+    page.evaluate("() => scrollTo(0, 0)")
+
+
+@pytest.fixture(scope="module", params=LOOKS, ids=lambda look: f"{look[0]}-{look[1]}")
+def looked(request: pytest.FixtureRequest, browser: Browser, service: Service) -> Iterator[tuple[Watched, str]]:
+    theme, width, height = request.param
+    context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=theme)
+    found = watched(context, service)
+    sign_in(found.page, service)
+    yield found, f"{theme}-{width}"
+    context.close()
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_is_accessible_alone_and_pictured(
+    name: str, looked: tuple[Watched, str], addresses: dict[str, str]
+) -> None:
+    window, look = looked
+    page = window.open(addresses[name])
+    settle(page)
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    page.screenshot(path=PICTURES / f"{name}-{look}.png", full_page=True)
+    found = Axe().run(page, options={"runOnly": ["wcag2a", "wcag2aa", "wcag21aa", "wcag22aa", "best-practice"]})
+    violations = {one["id"]: [node["html"][:200] for node in one["nodes"]] for one in found.response["violations"]}
+    assert violations == {}
+    width = page.evaluate("() => [document.documentElement.scrollWidth, document.documentElement.clientWidth]")
+    assert width[0] <= width[1], "the page scrolls sideways"
+    window.check()
+
+
+def test_the_sign_in_page_is_accessible(browser: Browser, service: Service) -> None:
+    context = browser.new_context()
+    window = watched(context, service)
+    page = window.open("/")
+    expect(page.get_by_label("Key")).to_be_focused()
+    assert Axe().run(page).violations_count == 0
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    page.screenshot(path=PICTURES / "sign-in.png")
+    context.close()
+    window.check()
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_everything_that_can_be_clicked_is_reached_by_keyboard(
+    name: str, window: Watched, addresses: dict[str, str]
+) -> None:
+    page = window.open(addresses[name])
+    page.wait_for_load_state("networkidle")
+    wanted = page.evaluate(
+        """() => [...document.querySelectorAll("main :is(a[href], button, input, select, textarea, summary)")]
+          .filter((node) => node.checkVisibility() && !node.disabled && !node.closest(".plot"))
+          .map((node, i) => { node.dataset.reach = i; return String(i); })"""
+    )
+    page.evaluate("() => document.querySelector('.skip').focus()")
+    reached = set()
+    for _ in range(len(wanted) + 60):
+        page.keyboard.press("Tab")
+        mark, is_shown = page.evaluate(
+            """() => { const node = document.activeElement;
+               return [node.dataset.reach ?? null, node.matches(":focus-visible")]; }"""
+        )
+        if mark is not None:
+            reached.add(mark)
+            assert is_shown
+    assert set(wanted) <= reached
+
+
+def test_the_skip_link_leads_past_the_navigation(window: Watched) -> None:
+    page = window.open("/")
+    page.locator("body").press("Tab")
+    expect(page.get_by_role("link", name="Skip to content")).to_be_focused()
+    page.keyboard.press("Enter")
+    assert page.evaluate("() => document.activeElement.id") == "main"
+
+
+def test_a_table_sorts_filters_and_saves_what_it_shows(window: Watched, addresses: dict[str, str]) -> None:
+    page = window.open(addresses["satellite"])
+    region = page.get_by_role("region", name="Parameter sets")
+    expect(region.locator("tbody tr").first).to_be_visible()
+    heading = region.get_by_role("columnheader", name="after")
+    heading.get_by_role("button").click()
+    expect(heading).to_have_attribute("aria-sort", "descending")
+    values = [float(text.replace(",", "")) for text in region.locator("tbody tr td:nth-child(8)").all_inner_texts()]
+    assert values == sorted(values, reverse=True)
+    page.get_by_label("Filter Parameter sets").fill("hooke")
+    expect(region.locator("tbody tr")).to_have_count(1)
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Save Parameter sets as CSV").click()
+    saved = list(csv.DictReader(io.StringIO(Path(download.value.path()).read_text())))
+    assert [row["method"] for row in saved] == ["scalar-hooke-jeeves"]
+
+
+def test_dark_and_light_are_kept_and_the_figures_follow(window: Watched, addresses: dict[str, str]) -> None:
+    page = window.open(addresses["parameter-set"])
+    plot = page.locator(".plot").first
+    expect(plot).to_have_attribute("data-drawn", "light", timeout=20_000)
+    page.get_by_role("button", name="Dark").click()
+    expect(plot).to_have_attribute("data-drawn", "dark", timeout=20_000)
+    page.reload()
+    expect(page.locator("html")).to_have_attribute("data-theme", "dark")
+
+
+def test_numbers_come_before_the_plot_library(window: Watched, addresses: dict[str, str]) -> None:
+    """The library's answer is held back by two seconds; the numbers do not wait for it."""
+    page = window.page
+    page.route("**/assets/plotly-*", lambda route: (time.sleep(2.0), route.continue_()))
+    page.goto(window.service.url + addresses["parameter-set"])
+    expect(page.locator(".tiles dd").first).to_contain_text("nT", timeout=1500)
+    assert page.evaluate("() => typeof window.Plotly") == "undefined"
+    page.unroute_all(behavior="wait")
+
+
+def test_the_report_opens_from_its_page_and_draws_all_figures(window: Watched, addresses: dict[str, str]) -> None:
+    page = window.open(addresses["parameter-set"])
+    page.get_by_role("link", name="Report").click()
+    expect(page.get_by_role("heading", name="Results and uncertainty")).to_be_visible()
+    expect(page.locator(".plate .main-svg").first).to_be_visible()
+    assert page.locator(".plate:has(.main-svg)").count() == page.locator(".plate").count() == 7
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    page.screenshot(path=PICTURES / "report.png", full_page=True)
