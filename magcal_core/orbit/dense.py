@@ -3,7 +3,7 @@
 Notes
 -----
 Through the ten nodes about an interval runs a polynomial of degree 9. Nodes lie at whole intervals from the epoch, and
-an interval is 0.1 rad of the way at the perigee, 90 s in a low orbit: within a millimetre of the orbit itself there,
+an interval is 0.13 rad of the way at the perigee, 118 s in a low orbit: within a millimetre of the orbit itself there,
 within a centimetre in any.
 """
 
@@ -28,7 +28,7 @@ SAMPLES_PER_NODE: Final = 3
 
 _NODES: Final = 10
 _BEFORE: Final = _NODES // 2 - 1
-_TURN_RAD: Final = 0.1
+_TURN_RAD: Final = 0.13
 _MIN_SAMPLES: Final = 1000
 
 

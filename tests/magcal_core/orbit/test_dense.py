@@ -105,6 +105,6 @@ def test_few_or_scattered_samples_are_not_interpolated(dekart: Sgp4Orbit) -> Non
 
 
 def test_the_distance_of_nodes_follows_the_speed_at_the_perigee() -> None:
-    """0.1 rad of a 6900 km circle at 7.6 km/s is 90 s; at the perigee of a Molniya orbit, 9.9 km/s, 72 s."""
-    assert interval_ns(6900.0, 6900.0) == 90 * 10**9
-    assert interval_ns(7170.0, 45900.0) == pytest.approx(72 * 10**9, abs=2 * 10**9)
+    """0.13 rad of a 6900 km circle at 7.6 km/s is 118 s; at the perigee of a Molniya orbit, 9.8 km/s, 94.9 s."""
+    assert interval_ns(6900.0, 6900.0) == 118 * 10**9
+    assert interval_ns(7170.0, 45900.0) == pytest.approx(94 * 10**9, abs=2 * 10**9)
