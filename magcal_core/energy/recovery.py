@@ -70,16 +70,20 @@ class Recovery:
         return float(np.sqrt(np.mean(self.errors**2)))
 
     @property
+    def error_by_degree(self) -> Floats:
+        """RMS error of the coefficients of each degree from 2 on, shape (degree - 1,)."""
+        return _rms_by_degree(self.errors, self.degree)
+
+    @property
+    def signal_by_degree(self) -> Floats:
+        """RMS of the reference's coefficients of each degree from 2 on, shape (degree - 1,)."""
+        return _rms_by_degree(coefficients_of(self.reference, self.degree), self.degree)
+
+    @property
     def relative_error_by_degree(self) -> tuple[float, ...]:
-        """RMS error over RMS signal for each degree from 2 on."""
-        degrees = coefficient_index(self.degree)[:, 0]
-        signal = coefficients_of(self.reference, self.degree)
-        return tuple(
-            float(np.linalg.norm(self.errors[degrees == n]) / np.linalg.norm(signal[degrees == n]))
-            if np.any(signal[degrees == n])
-            else float("nan")
-            for n in range(2, self.degree + 1)
-        )
+        """RMS error over RMS signal for each degree from 2 on; NaN where the reference has no signal."""
+        pairs = zip(self.error_by_degree, self.signal_by_degree, strict=True)
+        return tuple(float(error / signal) if signal > 0.0 else float("nan") for error, signal in pairs)
 
     def to_dict(self) -> dict[str, object]:
         """Return the recovery as JSON takes it; the covariance is left out, its standard errors are not."""
@@ -101,6 +105,11 @@ class Recovery:
             "residual_rms_m2_s2": self.residual_rms_m2_s2,
             "coefficients": rows,
         }
+
+
+def _rms_by_degree(values: Floats, degree: int) -> Floats:
+    degrees = coefficient_index(degree)[:, 0]
+    return np.array([np.sqrt(np.mean(values[degrees == n] ** 2)) for n in range(2, degree + 1)])
 
 
 def noisy(track: Track, options: EnergyOptions) -> Track:

@@ -1,4 +1,8 @@
-"""Integration of an orbit by DOP853 with dense output, compiled together with the forces."""
+"""Integration of an orbit by DOP853 with dense output, compiled together with the forces.
+
+The compiled kernels are kept on disk by the age of this file alone: after an edit of ``forces.py`` or ``gravity.py``,
+touch this one too.
+"""
 
 from __future__ import annotations
 

@@ -87,6 +87,14 @@ def test_known_degrees_above_are_taken_off() -> None:
     assert recovered(days=1.0, recover=8).rms_error < 1e-13
 
 
+def test_degrees_beyond_the_reference_have_an_error_and_no_signal() -> None:
+    recovery = recovered(days=1.0, degree=4, recover=6)
+    assert np.all(recovery.error_by_degree < 1e-12)
+    assert np.isnan(recovery.relative_error_by_degree[-1])
+    assert recovery.to_dict()["relative_error_by_degree"][-1] is None  # type: ignore[index]
+    assert recovery.signal_by_degree[0] == pytest.approx(4.84165e-4 / np.sqrt(5.0), rel=1e-3)
+
+
 def test_too_short_a_track_is_refused() -> None:
     with pytest.raises(TooFewSamplesError, match="166 unknowns"):
         recovered(days=0.05)
