@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.calibration.fit import BlockScores, Observations, block_starts
+from magcal_core.calibration.fit import BlockScores, Observations, block_moments, block_starts
 from magcal_core.calibration.jacobians import (
     Standardised,
     rows_from_theta,
@@ -47,25 +47,36 @@ class Equations:
 def equations_at(observations: Observations, parameters: Parameters, *, is_vector: bool) -> Equations:
     """Return the normal equations of ``observations`` at ``parameters``.
 
-    The residual is |T^-1 (h - b)| - |B|, or h - T B - b along the sensor's axes where ``is_vector``.
+    The residual is |T^-1 (h - b)| - |B|, or T B + b - h along the sensor's axes where ``is_vector``.
     """
-    return _of_vector(observations, parameters) if is_vector else _of_scalar(observations, parameters)
+    normals, scores, costs = _parts(observations, parameters, np.zeros(1, dtype=np.intp), is_vector=is_vector)
+    return Equations(normals[0], scores[0], float(costs[0]))
 
 
 def block_equations(
     observations: Observations, parameters: Parameters, *, is_vector: bool, blocks: int = 256
 ) -> tuple[Equations, BlockScores]:
     """Return the normal equations and the same in short consecutive blocks, for honest errors."""
-    n = len(observations)
-    starts = block_starts(n, blocks)
-    parts = [
-        equations_at(observations.take(slice(i, j)), parameters, is_vector=is_vector)
-        for i, j in itertools.pairwise([*starts.tolist(), n])
-    ]
-    normals = np.stack([part.normal for part in parts])
-    scores = np.stack([part.gradient for part in parts])
-    whole = Equations(normals.sum(axis=0), scores.sum(axis=0), float(sum(part.cost for part in parts)))
+    starts = block_starts(len(observations), blocks)
+    normals, scores, costs = _parts(observations, parameters, starts, is_vector=is_vector)
+    whole = Equations(normals.sum(axis=0), scores.sum(axis=0), float(costs.sum()))
     return whole, BlockScores(scores, normals, starts, np.eye(scores.shape[1]))
+
+
+def own_equations(
+    observations: Observations, parameters: Parameters, starts: NDArray[np.intp], *, is_vector: bool
+) -> tuple[Equations, ...]:
+    """Return the normal equations of each block in the fit's own unknowns: all that a cost needs."""
+    normals, scores, costs, _ = (_of_vector if is_vector else _of_scalar)(observations, parameters, starts)
+    return tuple(Equations(normals[i], scores[i], float(costs[i])) for i in range(len(starts)))
+
+
+def _parts(
+    o: Observations, parameters: Parameters, starts: NDArray[np.intp], *, is_vector: bool
+) -> tuple[Floats, Floats, Floats]:
+    """Return normal matrices, gradients and costs of the blocks that begin at ``starts``."""
+    normals, scores, costs, back = (_of_vector if is_vector else _of_scalar)(o, parameters, starts)
+    return back.T @ normals @ back, scores @ back, costs
 
 
 def _raw(observations: Observations) -> Standardised:
@@ -76,37 +87,43 @@ def _raw(observations: Observations) -> Standardised:
     return Standardised(names, np.ascontiguousarray(stacked), np.zeros(len(names)), np.ones(len(names)))
 
 
-def _of_scalar(o: Observations, parameters: Parameters) -> Equations:
+_Parts = tuple[Floats, Floats, Floats, Floats]
+
+
+def _of_scalar(o: Observations, parameters: Parameters, starts: NDArray[np.intp]) -> _Parts:
+    """Return the sums in the scalar fit's own unknowns, and the derivative of those by the parameters."""
     z = _raw(o)
+    k = len(z.names)
     theta = theta_of_parameters(parameters, z)
-    p = theta.size
-    normal, gradient = np.empty((p, p)), np.empty(p)
+    p, m = theta.size, len(starts)
+    normals, scores, costs = np.empty((m, p, p)), np.empty((m, p)), np.empty(m)
     no_rates = np.zeros((len(o), 0))
-    cost = accumulate(o.h_nt, o.b_nt, o.weights, z.columns, no_rates, theta, 0, 1.0, _PLAIN, normal, gradient)
-    matrix, _, _ = rows_from_theta(theta, len(z.names))
-    back = np.linalg.inv(rows_jacobian(matrix, z) @ theta_jacobian(theta, len(z.names)))
-    return Equations(back.T @ normal @ back, back.T @ gradient, float(cost))
+    for block, (i, j) in enumerate(itertools.pairwise([*starts.tolist(), len(o)])):
+        arrays = (o.h_nt[i:j], o.b_nt[i:j], o.weights[i:j], z.columns[i:j], no_rates[i:j])
+        costs[block] = accumulate(*arrays, theta, 0, 1.0, _PLAIN, normals[block], scores[block])
+    matrix, _, _ = rows_from_theta(theta, k)
+    back = np.asarray(np.linalg.inv(rows_jacobian(matrix, z) @ theta_jacobian(theta, k)), np.float64)
+    return normals, scores, costs, back
 
 
-def _of_vector(o: Observations, parameters: Parameters) -> Equations:
+def _of_vector(o: Observations, parameters: Parameters, starts: NDArray[np.intp]) -> _Parts:
+    """Return the sums in the elements of T, b and the regressors' slopes, and the derivative of those."""
     z, b_nt = _raw(o), o.require_vector()
     k = len(z.names)
-    p = 9 + 3 * k
+    p, m = 9 + 3 * k, len(starts)
     matrix = matrix_of_parameters(parameters.scale, np.deg2rad(parameters.nonorthogonality_deg))
-    model = b_nt @ matrix.T + parameters.bias_nt
+    residual = b_nt @ matrix.T + parameters.bias_nt - o.h_nt
     for name, slope in parameters.regressors.items():
-        model = model + o.regressors[name][:, None] * slope
-    residual = o.h_nt - model
+        residual = residual + o.regressors[name][:, None] * slope
     shared = np.column_stack([b_nt, np.ones(len(o)), z.columns])
     weighted = shared * o.weights[:, None]
-    moments, errors = weighted.T @ shared, weighted.T @ residual
-    normal, gradient = np.zeros((p, p)), np.zeros(p)
+    moments, errors = block_moments(weighted, shared, starts), block_moments(weighted, residual, starts)
+    normals, scores = np.zeros((m, p, p)), np.zeros((m, p))
     for axis in range(3):
-        take = [*range(axis + 1), 3, *range(4, 4 + k)]
+        take = np.array([*range(axis + 1), 3, *range(4, 4 + k)])
         first = (0, 1, 3)[axis]
-        at = [*range(first, first + axis + 1), 6 + axis, *(9 + 3 * j + axis for j in range(k))]
-        normal[np.ix_(at, at)] = moments[np.ix_(take, take)]
-        gradient[at] = -errors[take, axis]
-    back = np.linalg.inv(rows_jacobian(matrix, z))
-    cost = float(np.sum(o.weights[:, None] * residual**2))
-    return Equations(back.T @ normal @ back, back.T @ gradient, cost)
+        at = np.array([*range(first, first + axis + 1), 6 + axis, *(9 + 3 * j + axis for j in range(k))])
+        normals[:, at[:, None], at] = moments[:, take[:, None], take]
+        scores[:, at] = errors[:, take, axis]
+    costs = np.add.reduceat(o.weights * np.sum(residual**2, axis=1), starts)
+    return normals, scores, costs, np.asarray(np.linalg.inv(rows_jacobian(matrix, z)), np.float64)
