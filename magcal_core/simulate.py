@@ -202,7 +202,7 @@ def simulate(
 
 
 def _igrf() -> FieldModel:
-    from magcal_core.field.igrf import Igrf  # noqa: PLC0415 - only where no other model is given
+    from magcal_core.field.igrf import Igrf
 
     return Igrf()
 
