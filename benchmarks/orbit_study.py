@@ -8,6 +8,7 @@ those who publish TLEs do; what follows the TLE's epoch is then predicted from t
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from sgp4.api import WGS72, Satrec
 
+from benchmarks.measure import Figure
 from magcal_core.field.igrf import Igrf
 from magcal_core.orbit import Orbit
 from magcal_core.orbit.forces import ExponentialDrag
@@ -102,32 +104,48 @@ def errors(truth: Orbit, orbit: Orbit, epoch_utc: np.datetime64, arc_h: tuple[in
     return float(moved_m.max()), float(np.abs(here_nt - there_nt).max())
 
 
+Cell = tuple[float, float]
+
+
+def table(epoch: str, r_km: tuple[float, ...], v_km_s: tuple[float, ...]) -> tuple[float, dict[str, list[Cell]]]:
+    """Return the rms of the TLE's fit, m, and for each orbit its largest errors, m and nT, in every arc."""
+    start = np.datetime64(epoch, "ns")
+    truth = NumericalOrbit(start, r_km, v_km_s, 36, tide=True, drag=DRAG)
+    sgp4, rms_m = fit_tle(truth, start)
+    orbits: dict[str, Orbit] = {
+        "SGP4": sgp4,
+        "numerical, one SGP4 state": numerical_from(sgp4, "epoch"),
+        "numerical, fit to the day before": fitted_to(sgp4, -86400.0, 0.0),
+        "numerical, fit about the epoch": numerical_from(sgp4),
+        "numerical, true state, no drag": NumericalOrbit(start, r_km, v_km_s),
+    }
+    rows = {label: [errors(truth, orbit, start, arc) for arc in ARCS_H] for label, orbit in orbits.items()}
+    about = [numerical_from(sgp4, around_utc=start + np.timedelta64(30 * (a + b), "m")) for a, b in ARCS_H]
+    rows["numerical, fit about the data"] = [
+        errors(truth, orbit, start, arc) for orbit, arc in zip(about, ARCS_H, strict=True)
+    ]
+    return rms_m, rows
+
+
+def figures() -> Iterator[Figure]:
+    """Yield the figures of this room: the first day after the TLE's epoch."""
+    for name, state in STATES.items():
+        for label, cells in table(*state)[1].items():
+            away_m, away_nt = cells[1]
+            yield Figure("orbit study", f"{name}, 0-1 d: {label}", away_m, "m", note=f"{away_nt:.1f} nT in |B|")
+
+
 def main() -> None:
-    for name, (epoch, r_km, v_km_s) in STATES.items():
-        start = np.datetime64(epoch, "ns")
-        truth = NumericalOrbit(start, r_km, v_km_s, 36, tide=True, drag=DRAG)
-        sgp4, rms_m = fit_tle(truth, start)
+    for name, state in STATES.items():
+        rms_m, rows = table(*state)
         print(f"{name}: TLE fitted to {FIT_DAYS:g} days of truth, rms {rms_m:.0f} m")
-        orbits = {
-            "SGP4": sgp4,
-            "numerical, one SGP4 state": numerical_from(sgp4, "epoch"),
-            "numerical, fit to the day before": fitted_to(sgp4, -86400.0, 0.0),
-            "numerical, fit about the epoch": numerical_from(sgp4),
-            "numerical, true state, no drag": NumericalOrbit(start, r_km, v_km_s),
-        }
         heads = [f"{a / 24:g}-{b / 24:g} d" if b > 3 else f"{a}-{b} h" for a, b in ARCS_H]
         print(f"{'':36}" + "".join(f"{head:>20}" for head in heads))
-        for label, orbit in orbits.items():
-            cells = [errors(truth, orbit, start, arc) for arc in ARCS_H]
+        for label, cells in rows.items():
             print_row(label, cells)
-        about = [numerical_from(sgp4, around_utc=start + np.timedelta64(30 * (a + b), "m")) for a, b in ARCS_H]
-        print_row(
-            "numerical, fit about the data",
-            [errors(truth, o, start, arc) for o, arc in zip(about, ARCS_H, strict=True)],
-        )
 
 
-def print_row(label: str, cells: list[tuple[float, float]]) -> None:
+def print_row(label: str, cells: list[Cell]) -> None:
     print(f"{label:36}" + "".join(f"{m:>11.0f} ({nt:6.1f})" for m, nt in cells))
 
 
