@@ -14,7 +14,7 @@ from magcal_core.errors import OrbitMissingError
 from magcal_core.field import FieldModel
 from magcal_core.orbit import Orbit
 from magcal_core.orbit.choose import MAX_AGE_DAYS, NO_ORBIT, Choice, check_age, choose_orbits
-from magcal_core.orbit.frames import itrf_to_gcrf
+from magcal_core.orbit.earth_fixed import itrf_to_gcrf_fast
 from magcal_core.samples import Floats, SampleFlag, Samples, Times
 
 Mask = NDArray[np.bool_]
@@ -139,7 +139,7 @@ def _with_field(samples: Samples, t_utc: Times, r_itrf_km: Floats, has_place: Ma
         b_itrf_nt[has_place] = field.field_itrf_nt(t_utc[has_place], r_itrf_km[has_place])
     filled = replace(samples, r_itrf_km=r_itrf_km, b_ref_magnitude_nt=_magnitude(b_itrf_nt))
     if samples.q_base_gcrf is not None:
-        b_gcrf_nt = itrf_to_gcrf(t_utc, b_itrf_nt)
+        b_gcrf_nt = itrf_to_gcrf_fast(t_utc, b_itrf_nt)
         filled = replace(filled, b_ref_gcrf_nt=b_gcrf_nt, b_ref_base_nt=_in_base(samples.q_base_gcrf, b_gcrf_nt))
     return filled.flagged(SampleFlag.NO_REFERENCE, ~has_place)
 

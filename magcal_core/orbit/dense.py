@@ -66,17 +66,17 @@ def interpolated(
     r_nodes_km = positions_km(start_ns + nodes * step_ns)
     row_of_node = np.cumsum(is_node) - 1
     stencils = r_nodes_km[row_of_node[used - _BEFORE][:, None] + np.arange(_NODES)]
-    coefficients = np.einsum("kj,ijc->ikc", _lagrange_powers(), stencils)
+    coefficients = np.einsum("kj,ijc->ikc", lagrange_powers(_NODES), stencils)
     row_of_interval = (np.cumsum(is_used) - 1)[interval]
     r_km = np.empty((len(stamps_ns), 3))
     _horner(stamps_ns, start_ns + used * step_ns, 1.0 / step_ns, row_of_interval, coefficients, r_km)
     return r_km
 
 
-@lru_cache(maxsize=1)
-def _lagrange_powers() -> Floats:
-    """Return the matrix, (10, 10), from values at -4.5, -3.5, ... 4.5 to coefficients of powers 0, 1, ... 9."""
-    nodes = np.arange(_NODES) - (_BEFORE + 0.5)
+@lru_cache(maxsize=4)
+def lagrange_powers(count: int) -> Floats:
+    """Return the matrix, (k, k), from values at k points, one apart about 0, to coefficients of powers 0 to k - 1."""
+    nodes = np.arange(count) - (count - 1) / 2.0
     columns = []
     for node in nodes:
         others = nodes[nodes != node]

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from magcal_core.errors import ModelRangeError, PropagationError
 from magcal_core.orbit.dense import interpolated, interval_ns
-from magcal_core.orbit.earth_fixed import teme_to_itrf_fast
-from magcal_core.orbit.frames import teme_to_itrf
+from magcal_core.orbit.earth_fixed import itrf_to_gcrf_fast, teme_to_itrf_fast
+from magcal_core.orbit.eop import earth_orientation
+from magcal_core.orbit.frames import itrf_to_gcrf, teme_to_itrf
 from magcal_core.orbit.sgp4 import Sgp4Orbit
 from magcal_core.orbit.tle import checksum
 
@@ -38,31 +39,33 @@ def _slow(orbit: Sgp4Orbit, t_utc: NDArray[np.datetime64]) -> Floats:
     return teme_to_itrf(t_utc, orbit.state_teme(t_utc)[0])
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_the_fast_rotation_is_the_slow_one_over_half_a_century(seed: int) -> None:
-    """1e-8 km: rounding of the angle at 7000 km. Unsorted times, leap seconds and midnights among them."""
-    rng = np.random.default_rng(seed)
-    t_utc = np.datetime64("1973-01-02", "ns") + rng.integers(0, 54 * 365 * 86_400_000, 3000).astype("timedelta64[ms]")
-    t_utc[:6] = np.array(
-        [
-            "1973-01-02",
-            "2016-12-31T23:59:59.999",
-            "2017-01-01",
-            "2022-02-19T23:59:59.999999999",
-            "2022-02-20",
-            "2000-01-01T12",
-        ],
-        "datetime64[ns]",
-    )
-    r_km = rng.normal(size=(3000, 3)) * 4000.0
-    np.testing.assert_allclose(teme_to_itrf_fast(t_utc, r_km), teme_to_itrf(t_utc, r_km), rtol=0, atol=1e-8)
+@pytest.fixture(scope="module", params=range(3))
+def half_a_century(request: pytest.FixtureRequest) -> tuple[NDArray[np.datetime64], Floats]:
+    """Unsorted times, leap seconds, midnights and the ends of the table among them, and places of 7000 km."""
+    rng = np.random.default_rng(request.param)
+    t_utc = np.datetime64("1973-01-02", "ns") + rng.integers(0, 54 * 365 * 86_400_000, 1000).astype("timedelta64[ms]")
+    special = ["1973-01-02", "2016-12-31T23:59:59.999", "2017-01-01", "2022-02-19T23:59:59.999999999", "2022-02-20"]
+    t_utc[:6] = np.array([*special, "2000-01-01T12"], "datetime64[ns]")
+    t_utc[6] = earth_orientation().last
+    return t_utc, rng.normal(size=(1000, 3)) * 4000.0
+
+
+def test_fast_teme_to_itrf_is_the_slow_one(half_a_century: tuple[NDArray[np.datetime64], Floats]) -> None:
+    """1e-8 km: rounding of the angle at 7000 km."""
+    np.testing.assert_allclose(teme_to_itrf_fast(*half_a_century), teme_to_itrf(*half_a_century), rtol=0, atol=1e-8)
+
+
+def test_fast_itrf_to_gcrf_is_the_slow_one(half_a_century: tuple[NDArray[np.datetime64], Floats]) -> None:
+    """1e-8 km: 1e-12 rad between the nodes of the pole's path."""
+    np.testing.assert_allclose(itrf_to_gcrf_fast(*half_a_century), itrf_to_gcrf(*half_a_century), rtol=0, atol=1e-8)
 
 
 def test_the_fast_rotation_reaches_the_end_of_the_table_and_no_further() -> None:
     r_km = np.full((1, 3), 4000.0)
     with pytest.raises(ModelRangeError, match="Earth orientation"):
         teme_to_itrf_fast(np.array(["2050-01-01"], "datetime64[ns]"), r_km)
-    assert teme_to_itrf_fast(np.zeros(0, "datetime64[ns]"), np.zeros((0, 3))).shape == (0, 3)
+    for rotate in (teme_to_itrf_fast, itrf_to_gcrf_fast):
+        assert rotate(np.zeros(0, "datetime64[ns]"), np.zeros((0, 3))).shape == (0, 3)
 
 
 @pytest.mark.parametrize("step_ms", [100, 1000, 10_000, 20_000])
