@@ -10,15 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.calibration import ESTIMATORS
+from magcal_core.calibration.bootstrap import bootstrap
+from magcal_core.calibration.error_budget import ReferenceSource, error_budget
 from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations, corrected_nt
+from magcal_core.calibration.flags import jumps, saturated, spikes
 from magcal_core.calibration.judgement import Circumstances, Judgement, extras_of, judgement_of
+from magcal_core.calibration.regressors import Ablation, ablation_of, choose_regressors, usable_columns
 from magcal_core.calibration.result import Calibration, ResidualTable
+from magcal_core.calibration.suspicions import ClockFinding, Suspicion, suspicions
 from magcal_core.calibration.time_offset import AUTO_AGE_DAYS, ClockFit, fit_with_clock
 from magcal_core.errors import OptionError
 from magcal_core.options import CalibrationOptions, OptionValues
 from magcal_core.orbit import Orbit
+from magcal_core.reference import TELEMETRY_POSITION
 from magcal_core.referenced import Referenced
-from magcal_core.samples import Samples
+from magcal_core.samples import SampleFlag, Samples
 from magcal_core.sensor import SensorModel
 
 __all__ = ["CalibrationOptions", "calibrate"]
@@ -68,10 +74,13 @@ def calibrate(
     estimate = _estimate(referenced, chosen)
     tell(0.6)
     left_out = len(samples) - len(estimate.observations)
-    circumstances = Circumstances(referenced.age_days, estimate.clock is not None, left_out)
+    suspected = _suspicions(referenced, estimate)
+    circumstances = Circumstances(
+        referenced.age_days, estimate.clock is not None, left_out, tuple(f"{one.code}: {one.text}" for one in suspected)
+    )
     judgement = judgement_of(estimate.estimator, estimate.observations, estimate.fit, estimate.settings, circumstances)
     tell(0.95)
-    calibration = _assemble(referenced, estimate, judgement, left_out)
+    calibration = _assemble(referenced, estimate, judgement, left_out, suspected)
     tell(1.0)
     return calibration
 
@@ -92,25 +101,52 @@ class _Estimate:
     fit: Fit
     clock: ClockFit | None
     tried_clock: ClockFit | None
+    ablation: tuple[Ablation, ...]
 
 
 def _estimate(referenced: Referenced, options: CalibrationOptions) -> _Estimate:
-    """Return the estimate with the clock that the options ask for or the data support."""
+    """Return the estimate with the regressors and the clock that the options ask for or the data support."""
     estimator = ESTIMATORS[options.method]
     settings = FitSettings(options.robust, options.noise_model, options.noise_nt)
-    regressors = () if isinstance(options.regressors, str) else options.regressors
-    if regressors and not estimator.takes_regressors:
+    names = () if isinstance(options.regressors, str) else options.regressors
+    if names and not estimator.takes_regressors:
         raise OptionError(f"{estimator.name} takes no regressors; scalar and vector do")
-    usable = referenced.usable(regressors, estimator.is_vector)
-    observations = referenced.observations(usable, regressors)
+    usable = referenced.usable(names, estimator.is_vector)
+    observations = referenced.observations(usable, names)
     tried = _clock(referenced, estimator, options, settings, usable, observations)
     clock = tried if tried is not None and (options.time_offset == "estimate" or tried.is_significant) else None
+    ablation: tuple[Ablation, ...] = ()
+    if options.regressors == "auto" and estimator.takes_regressors:
+        at = observations if clock is None else _still(clock.observations)
+        choice = choose_regressors(estimator, _with_all_columns(referenced, usable, at), settings)
+        names, ablation = choice.names, choice.ablation
+        usable = referenced.usable(names, estimator.is_vector)
+        observations = referenced.observations(usable, names)
+        if clock is not None and names:
+            clock = tried = _clock(referenced, estimator, options, settings, usable, observations)
+    elif names:
+        at = observations if clock is None else _still(clock.observations)
+        ablation = ablation_of(estimator, at, settings, [(), names])
     if clock is None:
         fit = estimator.fit(observations, settings)
     else:
         observations = clock.observations
         fit = clock.fit if estimator.takes_regressors else _at_clock(estimator, observations, settings, clock)
-    return _Estimate(estimator, options, settings, usable, observations, fit, clock, tried)
+    return _Estimate(estimator, options, settings, usable, observations, fit, clock, tried, ablation)
+
+
+def _still(observations: Observations) -> Observations:
+    """Return the observations with their clock fixed where it is."""
+    return replace(observations, rate_nt_s=np.zeros((0, 0)), rate_base_nt_s=None)
+
+
+def _with_all_columns(referenced: Referenced, usable: NDArray[np.bool_], observations: Observations) -> Observations:
+    """Return the observations with every housekeeping column that may be a regressor."""
+    keeping = referenced.samples.housekeeping
+    names = usable_columns(keeping, usable)
+    columns = {name: np.asarray(keeping[name], np.float64)[usable] for name in names}
+    is_complete = np.all([np.isfinite(column) for column in columns.values()], axis=0) if columns else slice(None)
+    return replace(observations, regressors=columns).take(is_complete)
 
 
 def _clock(  # noqa: PLR0917
@@ -120,11 +156,11 @@ def _clock(  # noqa: PLR0917
     settings: FitSettings,
     usable: NDArray[np.bool_],
     observations: Observations,
-) -> ClockFit | None:  # fmt: skip
+) -> ClockFit | None:
     """Return the fit with a clock where one is asked for, or where the orbit is old enough to look for one."""
     if options.time_offset == "estimate" and not referenced.has_orbit:
         raise OptionError(
-            "time_offset: the reference comes with the telemetry; there is no orbit whose clock could differ"
+            "time_offset: the reference comes with the telemetry, there is no orbit whose clock can differ"
         )
     is_wanted = options.time_offset == "estimate" or (
         options.time_offset == "auto" and referenced.has_orbit and referenced.age_days > AUTO_AGE_DAYS
@@ -145,23 +181,59 @@ def _at_clock(estimator: Estimator, observations: Observations, settings: FitSet
 
     Both end at the same minimum, or within noise of it: the errors are those of the sister, which know of the clock.
     """
-    plain = replace(observations, rate_nt_s=np.zeros((0, 0)), rate_base_nt_s=None)
-    fit = estimator.fit(plain, settings)
+    fit = estimator.fit(_still(observations), settings)
     parameters = replace(fit.parameters, time_offset_s=clock.offset_s)
     return replace(
         fit, parameters=parameters, covariance=clock.fit.covariance, blocks=clock.fit.blocks, clock=clock.fit.clock
     )
 
 
-def _assemble(referenced: Referenced, estimate: _Estimate, judgement: Judgement, left_out: int) -> Calibration:
+def _suspicions(referenced: Referenced, estimate: _Estimate) -> tuple[Suspicion, ...]:
+    """Return what the data say against their own unit, axes, attitude, frame and clock."""
+    clock = estimate.clock
+    found = None if clock is None else ClockFinding(clock.offset_s, clock.offset_error_s)
+    is_from_telemetry = referenced.report.orbit_model == TELEMETRY_POSITION
+    return suspicions(referenced.samples, clock=found, position_field=referenced.field if is_from_telemetry else None)
+
+
+def _budget(referenced: Referenced, estimate: _Estimate, judgement: Judgement) -> list[dict[str, object]]:
+    clock = estimate.clock
+    source = ReferenceSource(
+        referenced.report.orbit_model,
+        referenced.age_days,
+        referenced.field,
+        estimate.estimator.is_vector,
+        None if clock is None else clock.offset_error_s,
+    )
+    return [item.to_dict() for item in error_budget(referenced.samples, source, judgement.after.rms_nt)]
+
+
+def _assemble(
+    referenced: Referenced, estimate: _Estimate, judgement: Judgement, left_out: int, suspected: Sequence[Suspicion]
+) -> Calibration:
     fit, samples = estimate.fit, referenced.samples
     parameters = fit.parameters
     names = len(parameters.names)
     sensor = SensorModel(parameters.bias_nt, parameters.scale, parameters.nonorthogonality_deg)
     lost = int(np.count_nonzero(fit.weights <= 0))
     extras = {**fit.extras, **extras_of(judgement, len(estimate.observations)), "status_of_fit": str(fit.status)}
+    extras["suspicions"] = [one.to_dict() for one in suspected]
+    extras["error_budget"] = _budget(referenced, estimate, judgement)
     if estimate.tried_clock is not None:
         extras["time_offset"] = estimate.tried_clock.to_dict()
+    if estimate.ablation:
+        extras["ablation"] = [row.to_dict() for row in estimate.ablation]
+    if estimate.options.bootstrap:
+        resampled = bootstrap(
+            estimate.estimator,
+            estimate.observations,
+            estimate.settings,
+            estimate.fit,
+            judgement.honest.block_samples,
+            estimate.options.bootstrap,
+            estimate.options.seed,
+        )
+        extras["bootstrap"] = resampled.to_dict()
     return Calibration(
         method=estimate.estimator.name,
         field_model=referenced.report.field_model,
@@ -238,9 +310,23 @@ def _residual_table(samples: Samples, estimate: _Estimate) -> ResidualTable:
     weight = np.zeros(n)
     weight[estimate.usable] = estimate.fit.weights
     raw_nt = np.linalg.norm(samples.h_nt, axis=1)
-    return ResidualTable(
-        samples.t_utc, length, raw_nt, model_nt, residual, weight, samples.flags, corrected, samples.r_itrf_km
-    )
+    flags = _flagged(samples, estimate)
+    return ResidualTable(samples.t_utc, length, raw_nt, model_nt, residual, weight, flags, corrected, samples.r_itrf_km)
+
+
+def _flagged(samples: Samples, estimate: _Estimate) -> NDArray[np.uint16]:
+    """Return the samples' flags with the spikes, jumps and saturation that the fit shows."""
+    at, n = np.flatnonzero(estimate.usable), len(samples)
+    flagged = samples
+    for flag, found in (
+        (SampleFlag.SPIKE, spikes(estimate.fit.residuals_nt)),
+        (SampleFlag.JUMP, jumps(estimate.fit.residuals_nt)),
+        (SampleFlag.SATURATED, saturated(samples.h_nt[at])),
+    ):
+        where = np.zeros(n, dtype=bool)
+        where[at[found]] = True
+        flagged = flagged.flagged(flag, where)
+    return flagged.flags
 
 
 def _columns(samples: Samples, estimate: _Estimate) -> dict[str, Floats]:

@@ -33,7 +33,7 @@ from magcal_core.calibration.inverse_rows import InverseRows, fit_inverse_rows, 
 from magcal_core.calibration.jacobians import Standardised, parameters_from_rows, rows_jacobian
 from magcal_core.calibration.lagrange import Root, axis_1, axis_2_roots, axis_3_roots, sums_of
 from magcal_core.calibration.result import Candidate, Parameters
-from magcal_core.calibration.rows import fit_rows
+from magcal_core.calibration.rows import fit_rows, full_rows
 from magcal_core.sensor import parameters_of_matrix
 
 Floats = NDArray[np.float64]
@@ -64,10 +64,14 @@ class ClosedFormFit:
         """
         b_nt = observations.require_vector()
         require_excitation(b_nt, observations.weights)
-        forward = fit_rows(observations.h_nt, b_nt, np.zeros((len(observations), 0)), observations.weights)
+        none = Standardised((), np.zeros((len(observations), 0)), np.zeros(0), np.zeros(0))
+        forward = fit_rows(observations.h_nt, b_nt, none.columns, observations.weights)
+        full = full_rows(forward, observations, none)
         for axis in range(3):
-            require_response(axis, forward.matrix[axis], forward.significance(axis), forward.own_significance(axis))
+            responses = forward.significance(axis), forward.own_significance(axis)
+            require_response(axis, forward.matrix[axis], *responses, full)
         rows = reweighted_inverse(observations.h_nt, b_nt, observations.weights, settings.robust)
+        noise = np.full(3, -1.0)
         if settings.noise_model == "white":
             noise = forward.sigma_nt if settings.noise_nt is None else np.full(3, settings.noise_nt)
             rows = fit_inverse_rows(observations.h_nt, b_nt, rows.weights, noise)
@@ -85,9 +89,26 @@ class ClosedFormFit:
             status=FitStatus.CONVERGED if rows.is_converged else FitStatus.MAX_EVALUATIONS,
             evaluations=rows.rounds,
             blocks=blocks,
+            robust=settings.robust,
+            noise_nt=float(np.sqrt(np.mean(noise**2))) if noise[0] >= 0 else -1.0,
             candidates=candidates,
             warnings=(*axis_warnings(parameters.scale, parameters.nonorthogonality_deg), *notes),
         )
+
+    def refit(self, observations: Observations, settings: FitSettings, near: Fit) -> Parameters:
+        """Return the estimate from a part of the data, without candidates.
+
+        Raises
+        ------
+        TooFewSamplesError, NoExcitationError, CoplanarFieldError
+            The part does not determine every axis.
+        """
+        b_nt = observations.require_vector()
+        require_excitation(b_nt, observations.weights)
+        rows = reweighted_inverse(observations.h_nt, b_nt, observations.weights, near.robust)
+        if settings.noise_model == "white":
+            rows = fit_inverse_rows(observations.h_nt, b_nt, rows.weights, np.full(3, near.noise_nt))
+        return parameters_from_rows(rows.matrix, rows.bias_nt, np.zeros((0, 3)), _NONE)
 
 
 def _equations(rows: InverseRows) -> tuple[Floats, Floats, BlockScores]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.errors import CoplanarFieldError, DeadAxisError, NoExcitationError, TooFewSamplesError
+from magcal_core.errors import CoplanarFieldError, DeadAxisError, FrameError, NoExcitationError, TooFewSamplesError
 
 Floats = NDArray[np.float64]
 
@@ -17,6 +17,8 @@ MIN_SPREAD: Final = 1e-5
 """Smallest spread of a field component, as a share of |B|: 0.4 nT at 40 uT, what a field model rounds to."""
 MIN_SIGNIFICANCE: Final = 5.0
 """Standard errors that a gain must differ from zero by for its axis to be alive."""
+TURNED_DEG: Final = 30.0
+"""Turn of the reference's frame from which on an axis that seems dead is one that points elsewhere."""
 
 _AXIS_PARAMETERS: Final = (
     ("bias_nt[0]", "scale[0]"),
@@ -61,16 +63,35 @@ def require_excitation(b_base_nt: Floats, weights: Floats) -> None:
         )
 
 
-def require_response(axis: int, row: Floats, significance: float, own_significance: float) -> None:
+class _Turned(Protocol):
+    """A fit that allows for a turned reference: its angle, deg, and whether all three axes respond in it."""
+
+    @property
+    def angle_deg(self) -> float: ...
+
+    @property
+    def is_regular(self) -> bool: ...
+
+
+def require_response(axis: int, row: Floats, significance: float, own_significance: float, full: _Turned) -> None:
     """Refuse an axis whose reading does not follow the field.
 
     ``row``: its row of T; ``significance``: standard errors of the whole row, ``own_significance``: of the gain to its
-    own field component given the others.
+    own field component given the others; ``full``: the fit with all nine elements of T.
 
     Raises
     ------
+    FrameError
+        The axis does respond, but the reference is in a frame that is turned far from the sensor's.
     DeadAxisError
+        It does not.
     """
+    is_dead = min(significance, own_significance) < MIN_SIGNIFICANCE
+    if is_dead and full.is_regular and full.angle_deg > TURNED_DEG:
+        raise FrameError(
+            f"axis {axis + 1} responds to other components than its own: the reference is turned by "
+            f"{full.angle_deg:.0f} deg from the sensor's frame; mend the axis map or the attitude"
+        )
     if significance < MIN_SIGNIFICANCE:
         raise DeadAxisError(
             f"axis {axis + 1} does not respond to the field: gain {float(np.linalg.norm(row)):.3g}, "

@@ -295,6 +295,18 @@ class Estimator(Protocol):
         """
         ...
 
+    def refit(self, observations: Observations, settings: FitSettings, near: Fit) -> Parameters:
+        """Return the estimate from a part of the data of ``near``, or a resample of it: same loss, same noise.
+
+        Starts at ``near`` and checks nothing beforehand: what cross-validation and bootstrap call often.
+
+        Raises
+        ------
+        EstimationError
+            The search does not end.
+        """
+        ...
+
 
 def corrected_nt(observations: Observations, parameters: Parameters) -> Floats:
     """Return T^-1 (h - b - sum of regressor terms), shape (n, 3), nT, base frame."""
@@ -314,8 +326,11 @@ def residuals_nt(observations: Observations, parameters: Parameters, is_vector: 
 
 
 def block_starts(n: int, blocks: int = 256) -> NDArray[np.intp]:
-    """Return the first samples of at most ``blocks`` consecutive blocks of ``n`` samples, of nearly equal length."""
-    count = min(n, blocks)
+    """Return the first samples of consecutive blocks of ``n`` samples, of nearly equal length.
+
+    About eight samples each, at least 16 and at most ``blocks`` blocks.
+    """
+    count = min(n, blocks, max(16, n // 8))
     return (np.arange(count, dtype=np.intp) * n) // count
 
 

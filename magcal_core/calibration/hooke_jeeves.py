@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from magcal_core.calibration.fit import Fit, FitSettings, FitStatus, Observations
 from magcal_core.calibration.jacobians import lower_of_theta, rows_from_theta
 from magcal_core.calibration.linear_start import closed_form_starts
+from magcal_core.calibration.result import Parameters
 from magcal_core.calibration.scalar import ScalarFit, fit_at
 from magcal_core.errors import OptionError
 from magcal_core.sensor import first_order_a, first_order_of_a, inverse_lower, matrix_of_parameters
@@ -148,6 +149,16 @@ class HookeJeevesFit:
         }
         status = FitStatus.CONVERGED if is_converged else FitStatus.MAX_EVALUATIONS
         return replace(fit, evaluations=evaluations, status=status, extras={"first_order": printed})
+
+    def refit(self, observations: Observations, settings: FitSettings, near: Fit) -> Parameters:
+        """Return the estimate near a known one; by `ScalarFit`, which ends at the same minimum.
+
+        Raises
+        ------
+        NotObservableError
+            The search does not end at a minimum.
+        """
+        return ScalarFit().refit(observations, settings, near)
 
 
 def _search(observations: Observations, settings: FitSettings, sigma: float) -> tuple[Floats, int, bool]:

@@ -63,7 +63,7 @@ def judgement_of(
     before, after = statistics_of(observations, fit, estimator.is_vector)
     # The clock stays where all data put it: one number, and the held-out reference is taken at it.
     still = replace(observations, rate_nt_s=np.zeros((0, 0)), rate_base_nt_s=None)
-    held_out = held_out_residuals_nt(estimator, still, settings)
+    held_out = held_out_residuals_nt(estimator, still, settings, fit)
     unseen = None if held_out is None else rms_nt(held_out, fit.weights)
     used = fit.weights > 0
     observability, directions = observability_of(observations.take(used), fit, estimator.is_vector)

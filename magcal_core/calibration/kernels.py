@@ -159,6 +159,28 @@ def accumulate(  # noqa: PLR0912, PLR0915, PLR0917 - one straight derivation
 
 
 @njit(cache=True, nogil=True)
+def accumulate_blocks(  # noqa: PLR0917
+    h: Floats,
+    b: Floats,
+    weight: Floats,
+    z: Floats,
+    rate: Floats,
+    theta: Floats,
+    loss: int,
+    bend: float,
+    sigma: float,
+    starts: NDArray[np.intp],
+    normals: Floats,
+    gradients: Floats,
+) -> None:  # pragma: no cover - compiled
+    """Leave what `accumulate` gives for each block that begins at ``starts`` in ``normals`` and ``gradients``."""
+    for k in range(starts.size):
+        i = starts[k]
+        j = starts[k + 1] if k + 1 < starts.size else h.shape[0]
+        accumulate(h[i:j], b[i:j], weight[i:j], z[i:j], rate[i:j], theta, loss, bend, sigma, normals[k], gradients[k])
+
+
+@njit(cache=True, nogil=True)
 def residuals(  # noqa: PLR0917
     h: Floats, b: Floats, z: Floats, rate: Floats, theta: Floats, sigma: float, out: Floats
 ) -> None:  # pragma: no cover - compiled

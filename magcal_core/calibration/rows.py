@@ -164,6 +164,7 @@ class FullMatrix:
     p_value: float
     lower: Floats
     rotation: Floats
+    is_regular: bool
 
     @property
     def angle_deg(self) -> float:
@@ -202,4 +203,8 @@ def full_rows(rows: Rows, observations: Observations, z: Standardised) -> FullMa
     gain = np.sum(rows.weights[:, None] * (rows.residuals_nt**2 - full.residuals_nt**2), axis=0)
     f_statistic = max(float(np.sum(gain / full.sigma_nt**2) / 3.0), 0.0)
     lower, rotation = lower_triangular_gauge(full.matrix)
-    return FullMatrix(full.matrix, f_statistic, float(fdtrc(3, 3 * max(dof, 1), f_statistic)), lower, rotation)
+    # Regular: the smallest gain in any direction is many times its error.
+    error = max(float(np.sqrt(np.trace(full.covariances[axis][:3, :3]))) for axis in range(3))
+    is_regular = bool(np.linalg.svd(full.matrix, compute_uv=False)[2] > 10.0 * error)
+    p_value = float(fdtrc(3, 3 * max(dof, 1), f_statistic))
+    return FullMatrix(full.matrix, f_statistic, p_value, lower, rotation, is_regular)

@@ -27,7 +27,7 @@ from magcal_core.calibration.jacobians import (
     theta_jacobian,
     theta_of_parameters,
 )
-from magcal_core.calibration.kernels import LOSSES, TUNING, accumulate, residuals
+from magcal_core.calibration.kernels import LOSSES, TUNING, accumulate, accumulate_blocks, residuals
 from magcal_core.calibration.linear_start import closed_form_starts
 from magcal_core.calibration.minimise import Minimum, minimise
 from magcal_core.calibration.observability import (
@@ -38,6 +38,7 @@ from magcal_core.calibration.observability import (
     scalar_information,
     taking_part,
 )
+from magcal_core.calibration.result import Parameters
 from magcal_core.calibration.weights import robust_sigma, weights_and_slopes
 from magcal_core.errors import NotObservableError
 
@@ -125,6 +126,25 @@ class ScalarFit:
         require_observable(task.observations, plain.minimum.theta, plain.minimum.normal)
         solution = _refined(task, plain, settings)
         return _assemble(self.name, task, solution)
+
+    def refit(self, observations: Observations, settings: FitSettings, near: Fit) -> Parameters:
+        """Return the estimate near a known one, under its loss and noise.
+
+        Raises
+        ------
+        NotObservableError
+            The search does not end at a minimum.
+        """
+        task = _Task.of(observations)
+        theta = theta_of_parameters(near.parameters, task.z)
+        theta = np.concatenate([theta, np.zeros(task.size - theta.size)])
+        loss = LOSSES[near.robust]
+        found = task.minimise(theta, loss, TUNING[loss] * near.robust_scale_nt, near.noise_nt)
+        if not found.is_converged:
+            raise NotObservableError("the data do not hold a minimum near that of all data", PARAMETER_NAMES)
+        theta = _right_handed(task, found).theta
+        matrix, bias_nt, slopes_nt = rows_from_theta(theta, len(task.z.names))
+        return parameters_from_rows(matrix, bias_nt, slopes_nt, task.z)
 
 
 def require_samples(observations: Observations) -> None:
@@ -313,9 +333,6 @@ def _blocks(task: _Task, solution: _Solution, own: Floats, softening: float) -> 
     o, p = task.observations, task.size
     starts = block_starts(len(o))
     scores, normals = np.empty((len(starts), p)), np.empty((len(starts), p, p))
-    for i, (start, stop) in enumerate(zip(starts, [*starts[1:], len(o)], strict=True)):
-        part = slice(start, stop)
-        arrays = (o.h_nt[part], o.b_nt[part], o.weights[part], task.z.columns[part], o.rate_nt_s[part])
-        theta, loss, bend, sigma = solution.minimum.theta, solution.loss, solution.bend, solution.sigma
-        accumulate(*arrays, theta, loss, bend, sigma, normals[i], scores[i])
+    arrays = (o.h_nt, o.b_nt, o.weights, task.z.columns, o.rate_nt_s, solution.minimum.theta)
+    accumulate_blocks(*arrays, solution.loss, solution.bend, solution.sigma, starts, normals, scores)
     return BlockScores(scores, normals / softening, starts, own)

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.calibration.fit import Estimator, FitSettings, Observations, residuals_nt
+from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations, residuals_nt
 from magcal_core.errors import EstimationError
 
 Floats = NDArray[np.float64]
@@ -24,8 +24,12 @@ def folds_of(t_s: Floats) -> list[NDArray[np.intp]]:
     return [fold for fold in folds if fold.size]
 
 
-def held_out_residuals_nt(estimator: Estimator, observations: Observations, settings: FitSettings) -> Floats | None:
+def held_out_residuals_nt(
+    estimator: Estimator, observations: Observations, settings: FitSettings, near: Fit
+) -> Floats | None:
     """Return the residual of every sample under the fit to the other blocks, shape (n,) or (n, 3), nT.
+
+    ``near``: the fit to all data, from which the others start.
 
     None where the rest of the data does not determine the parameters once a block is left out.
     """
@@ -35,10 +39,10 @@ def held_out_residuals_nt(estimator: Estimator, observations: Observations, sett
         rest = np.ones(n, dtype=bool)
         rest[fold] = False
         try:
-            fit = estimator.fit(observations.take(rest), settings)
+            parameters = estimator.refit(observations.take(rest), settings, near)
         except EstimationError:
             return None
-        parts.append(residuals_nt(observations.take(fold), fit.parameters, estimator.is_vector))
+        parts.append(residuals_nt(observations.take(fold), parameters, estimator.is_vector))
     return np.concatenate(parts)
 
 

@@ -22,6 +22,7 @@ from magcal_core.calibration.fit import (
     scaled_inverse,
 )
 from magcal_core.calibration.jacobians import Standardised, parameters_from_rows, rows_jacobian
+from magcal_core.calibration.result import Parameters
 from magcal_core.calibration.rows import Rows, full_rows, reweighted
 
 Floats = NDArray[np.float64]
@@ -52,14 +53,14 @@ class VectorFit:
         names = tuple(observations.regressors)
         z = Standardised.of(names, [observations.regressors[name] for name in names], len(observations))
         rows, clock = _with_clock(observations, z, settings.robust)
+        full = full_rows(rows, observations, z)
         for axis in range(3):
-            require_response(axis, rows.matrix[axis], rows.significance(axis), rows.own_significance(axis))
+            require_response(axis, rows.matrix[axis], rows.significance(axis), rows.own_significance(axis), full)
         parameters = parameters_from_rows(rows.matrix, rows.bias_nt, rows.slopes_nt, z)
         if clock.size:
             parameters = replace(parameters, time_offset_s=float(clock[0]))
         own, normal, blocks = _equations(observations, rows, z, clock)
         covariance = own @ scaled_inverse(normal) @ own.T * rows.softening
-        full = full_rows(rows, observations, z)
         return Fit(
             method=self.name,
             parameters=parameters,
@@ -72,9 +73,25 @@ class VectorFit:
             evaluations=rows.rounds,
             blocks=blocks,
             clock=clock,
+            robust=settings.robust,
             warnings=(*axis_warnings(parameters.scale, parameters.nonorthogonality_deg), *full.warnings),
             extras={"full_matrix": full.to_dict()},
         )
+
+    def refit(self, observations: Observations, settings: FitSettings, near: Fit) -> Parameters:
+        """Return the estimate from a part of the data; nothing but the rows is computed.
+
+        Raises
+        ------
+        TooFewSamplesError, NoExcitationError, CoplanarFieldError
+            The part does not determine every axis.
+        """
+        b_nt = observations.require_vector()
+        require_excitation(b_nt, observations.weights)
+        names = tuple(observations.regressors)
+        z = Standardised.of(names, [observations.regressors[name] for name in names], len(observations))
+        rows = reweighted(observations.h_nt, b_nt, z.columns, observations.weights, near.robust)
+        return parameters_from_rows(rows.matrix, rows.bias_nt, rows.slopes_nt, z)
 
 
 def _with_clock(observations: Observations, z: Standardised, robust: str) -> tuple[Rows, Floats]:

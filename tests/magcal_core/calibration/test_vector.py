@@ -9,6 +9,7 @@ from magcal_core.calibration import ESTIMATORS, FitSettings, Observations
 from magcal_core.errors import (
     CoplanarFieldError,
     DeadAxisError,
+    FrameError,
     NoExcitationError,
     TelemetryValueError,
     TooFewSamplesError,
@@ -105,6 +106,14 @@ class TestDegenerateInputs:
     def test_too_few_samples_are_counted(self, mission, method, noise_nt):
         with pytest.raises(TooFewSamplesError, match="4 usable samples"):
             fit(mission(n=4, noise_nt=noise_nt).samples, method)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_axis_that_points_elsewhere_is_not_called_dead(mission, method):
+    """Axes 1 and 3 exchanged: no axis is dead, the frame is wrong."""
+    samples = mission().samples
+    with pytest.raises(FrameError, match="turned by"):
+        fit(replace(samples, h_nt=samples.h_nt[:, [2, 0, 1]]), method)
 
 
 def test_missing_attitude_is_said(mission):

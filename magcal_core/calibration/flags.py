@@ -1,0 +1,71 @@
+"""Spikes, jumps and saturation, sample by sample, from the residuals of a fit; nothing is edited."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_core.calibration.weights import GAUSSIAN_MAD
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SPIKE: Final = 6.0
+"""Robust standard deviations from the neighbours beyond which a residual is a spike."""
+JUMP: Final = 8.0
+"""Times the usual difference between the medians before and after a sample that makes a jump: a wave is no jump."""
+JUMP_NOISE: Final = 3.0
+"""Standard deviations of the noise, as neighbours show it, that a jump has at least."""
+_SIDE: Final = 9
+"""Samples on each side whose median is taken."""
+_RUN: Final = 3
+"""Readings at exactly the largest value of an axis that make it a limit."""
+
+
+def spikes(residuals: Floats) -> Mask:
+    """Return which samples stand far from the fit and from their neighbours, shape (n,), from residuals in nT."""
+    size = np.atleast_2d(residuals.T)
+    found = np.zeros(size.shape[1], dtype=bool)
+    for row in size:
+        scale = GAUSSIAN_MAD * float(np.median(np.abs(row)))
+        if scale > 0:
+            away = np.abs(row - _running_median(row)) > SPIKE * scale
+            found |= away & (np.abs(row) > SPIKE * scale)
+    return found
+
+
+def jumps(residuals: Floats) -> Mask:
+    """Return the first sample after each step of the residual, shape (n,)."""
+    size = np.atleast_2d(residuals.T)
+    found = np.zeros(size.shape[1], dtype=bool)
+    if size.shape[1] < 2 * _SIDE + 1:
+        return found
+    for row in size:
+        windows = np.median(np.lib.stride_tricks.sliding_window_view(row, _SIDE), axis=1)
+        step = np.zeros(row.size)
+        step[_SIDE : row.size - _SIDE + 1] = np.abs(windows[_SIDE:] - windows[:-_SIDE])
+        noise = GAUSSIAN_MAD * float(np.median(np.abs(np.diff(row)))) / np.sqrt(2.0)
+        limit = max(JUMP * float(np.median(step)), JUMP_NOISE * noise)
+        peaks = np.lib.stride_tricks.sliding_window_view(np.pad(step, _SIDE), 2 * _SIDE + 1).max(axis=1)
+        is_peak = (step > limit) & (step == peaks) & (limit > 0)
+        found |= is_peak & ~np.concatenate([[False], is_peak[:-1]])
+    return found
+
+
+def saturated(h_nt: Floats) -> Mask:
+    """Return which readings, shape (n, 3), nT, stand at a limit: the extreme of an axis that occurs several times."""
+    found = np.zeros(len(h_nt), dtype=bool)
+    for column in h_nt.T:
+        for extreme in (column.max(), column.min()):
+            at = column == extreme
+            in_a_row = at[2:] & at[1:-1] & at[:-2] if len(at) >= _RUN else np.zeros(0, dtype=bool)
+            if in_a_row.any() and np.ptp(column) > 0:
+                found |= at
+    return found
+
+
+def _running_median(row: Floats) -> Floats:
+    padded = np.pad(row, 3, mode="reflect") if row.size > 3 else np.pad(row, 3, mode="edge")
+    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, 7), axis=1))
