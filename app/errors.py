@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
 from typing import Final, NotRequired
@@ -22,6 +23,8 @@ log = structlog.get_logger()
 MOST_OF_A_NAME: Final = 100
 MOST_OF_A_PLACE: Final = 400
 """Characters of a member's name, and of the way to it, that an answer repeats."""
+QUOTED: Final = re.compile(r"""(?<!did you mean )(?<!mapped to )(?:'(?:[^'\\]|\\.){3,}'|"(?:[^"\\]|\\.){3,}")""")
+"""A value as the core's messages quote it; names of columns that it proposes stay."""
 
 
 class FaultBody(TypedDict):
@@ -245,7 +248,16 @@ def _magcal_error(_request: Request, error: Exception) -> JSONResponse:
     if not isinstance(error, MagcalError):
         raise error
     headers = error.headers if isinstance(error, ServiceError) else {}
-    return problem_response(problem_of(error), headers)
+    return problem_response(_without_values(problem_of(error)), headers)
+
+
+def _without_values(body: Problem) -> Problem:
+    """Return ``body`` with the values that the core quotes left out: an answer does not repeat what was sent."""
+    bare = Problem(**body)
+    bare["detail"] = QUOTED.sub("'...'", body["detail"])
+    if "errors" in body:
+        bare["errors"] = [{**fault, "why": QUOTED.sub("'...'", fault["why"])} for fault in body["errors"]]
+    return bare
 
 
 def _validation_error(_request: Request, error: Exception) -> JSONResponse:

@@ -20,6 +20,7 @@ ABSENT = "0" * 32
 CSV = {"content-type": "text/csv"}
 JSON = {"content-type": "application/json"}
 TLE = {"content-type": "text/plain"}
+FIGURES = {"parameter_set_id": "before-after", "session_id": "raw", "satellite_id": "history"}
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,8 @@ class World:
 
     def url(self, operation: Operation) -> str:
         """Return the address of the call for this world's things."""
-        return operation.path.removeprefix("/api/v1").format(**self.ids)
+        figure = FIGURES.get(operation.parameters[0]) if "figure" in operation.parameters else None
+        return operation.path.removeprefix("/api/v1").format(**self.ids, figure=figure)
 
     def request(self, operation: Operation) -> dict[str, object]:
         """Return a sound body and query of the call, so far as it needs them."""
@@ -131,7 +133,6 @@ def build_world(admin: httpx2.Client, name: str) -> World:
         "job_id": job["id"],
         "parameter_set_id": job["result"]["parameter_set_id"],
         "key_id": key["id"],
-        "figure": "before_after",
     }
     return World(name, ids, telemetry)
 
