@@ -116,9 +116,9 @@ def _one_of(words: tuple[str, ...]) -> _Check:
 
 
 def _field_name(value: object) -> str | None:
-    from magcal_core.field.models import FIELD_MODELS
+    from magcal_core.field.models import FIELD_MODELS, is_field_name
 
-    return None if isinstance(value, str) and value in FIELD_MODELS else f"want one of {', '.join(FIELD_MODELS)}"
+    return None if isinstance(value, str) and is_field_name(value) else f"want one of {', '.join(FIELD_MODELS)}"
 
 
 def _number(lowest: float, highest: float, unit: str, *, may_be_none: bool = False) -> _Check:

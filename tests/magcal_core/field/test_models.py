@@ -5,7 +5,7 @@ import pytest
 
 from magcal_core.errors import ModelRangeError, OptionError
 from magcal_core.field.dipole import DirectDipole
-from magcal_core.field.models import FIELD_MODELS, field_model
+from magcal_core.field.models import FIELD_MODELS, field_model, is_field_name
 
 WHEN = np.datetime64("2022-01-01", "ns")
 
@@ -54,3 +54,29 @@ def test_models_are_chosen_by_name_degree_and_epoch() -> None:
         field_model("wmm")
     with pytest.raises(OptionError, match="no degree"):
         field_model("dipole", 9)
+
+
+@pytest.mark.parametrize(
+    "name", ["igrf-14", "igrf-13-9x9", "igrf-14-1x1", "igrf-13@2020-01-01", "igrf-13-9x9@2020-01-01"]
+)
+def test_a_models_own_name_gives_it_back(name: str) -> None:
+    assert is_field_name(name)
+    assert field_model(name).name == name
+
+
+@pytest.mark.parametrize(
+    "name", ["igrf-12", "igrf-13-9x8", "igrf-13@yesterday", "dipole-9x9", "igrf-13-9x9 ", "", "IGRF"]
+)
+def test_names_of_no_model_are_refused(name: str) -> None:
+    assert not is_field_name(name)
+    with pytest.raises(OptionError, match="unknown field model"):
+        field_model(name)
+
+
+def test_days_and_degrees_that_do_not_exist_are_refused() -> None:
+    with pytest.raises(OptionError, match="no day 2020-02-31"):
+        field_model("igrf-13@2020-02-31")
+    with pytest.raises(ModelRangeError, match="max_degree is 14"):
+        field_model("igrf-14-14x14")
+    with pytest.raises(ModelRangeError, match="valid from"):
+        field_model("igrf-13@2026-01-01")
