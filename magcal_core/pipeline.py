@@ -15,8 +15,10 @@ from magcal_core.calibration.error_budget import ReferenceSource, error_budget
 from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations, corrected_nt
 from magcal_core.calibration.flags import jumps, saturated, spikes
 from magcal_core.calibration.judgement import Circumstances, Judgement, extras_of, judgement_of
+from magcal_core.calibration.mounting import mounting_of
 from magcal_core.calibration.regressors import Ablation, ablation_of, choose_regressors, usable_columns
 from magcal_core.calibration.result import Calibration, ResidualTable
+from magcal_core.calibration.steps import steps_of
 from magcal_core.calibration.suspicions import ClockFinding, Suspicion, suspicions
 from magcal_core.calibration.time_offset import AUTO_AGE_DAYS, ClockFit, fit_with_clock
 from magcal_core.errors import OptionError
@@ -219,6 +221,8 @@ def _assemble(
     extras = {**fit.extras, **extras_of(judgement, len(estimate.observations)), "status_of_fit": str(fit.status)}
     extras["suspicions"] = [one.to_dict() for one in suspected]
     extras["error_budget"] = _budget(referenced, estimate, judgement)
+    extras["mounting"] = mounting_of(replace(estimate.observations, weights=fit.weights), parameters).to_dict()
+    extras["device_steps"], unseen_devices = _device_steps(samples, estimate)
     if estimate.tried_clock is not None:
         extras["time_offset"] = estimate.tried_clock.to_dict()
     if estimate.ablation:
@@ -254,12 +258,21 @@ def _assemble(
         after=judgement.after,
         observability=judgement.observability,
         verdict=judgement.verdict,
-        warnings=_warnings(referenced, estimate, judgement),
+        warnings=(*_warnings(referenced, estimate, judgement), *unseen_devices),
         residuals=_residual_table(samples, estimate),
         options=estimate.options.to_dict(),
         orbits=referenced.report.orbits,
         extras=extras,
     )
+
+
+def _device_steps(samples: Samples, estimate: _Estimate) -> tuple[list[dict[str, object]], tuple[str, ...]]:
+    """Return the offsets of the devices that switch on and off, and warnings of those that cannot be seen."""
+    columns = {name: np.asarray(column, np.float64)[estimate.usable] for name, column in samples.housekeeping.items()}
+    found, warnings = steps_of(
+        estimate.observations, columns, estimate.fit.parameters, is_vector=estimate.estimator.is_vector
+    )
+    return [step.to_dict() for step in found], warnings
 
 
 def _warnings(referenced: Referenced, estimate: _Estimate, judgement: Judgement) -> tuple[str, ...]:

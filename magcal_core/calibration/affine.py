@@ -14,8 +14,8 @@ from magcal_core.calibration.weights import robust_sigma, weights_and_slopes
 
 Floats = NDArray[np.float64]
 
-_ROUNDS: Final = 10
-_BLOCKS: Final = 256
+_ROUNDS: Final = 6
+_BLOCKS: Final = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -148,6 +148,21 @@ def device_steps(
         except NotObservableError as error:
             warnings.append(f"device_not_observable: {error.message}")
     return tuple(found), tuple(warnings)
+
+
+def steps_of(
+    observations: Observations, housekeeping: Mapping[str, Floats], parameters: Parameters, *, is_vector: bool
+) -> tuple[tuple[DeviceStep, ...], tuple[str, ...]]:
+    """Return the steps of every housekeeping column that looks like a device's state, and warnings.
+
+    ``housekeeping``: columns at the observations' own samples; incomplete ones are passed over.
+    """
+    complete = {name: column for name, column in housekeeping.items() if np.isfinite(column).all()}
+    devices = switching_columns(complete)
+    if not devices:
+        return (), ()
+    columns = {**observations.regressors, **{name: complete[name] for name in devices}}
+    return device_steps(replace(observations, regressors=columns), parameters, devices, is_vector=is_vector)
 
 
 def _rows(o: Observations, parameters: Parameters, device: str, *, is_vector: bool) -> tuple[Floats, Floats]:
