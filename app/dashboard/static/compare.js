@@ -6,7 +6,7 @@ import { plot } from "./plot.js";
 const query = new URLSearchParams(location.search);
 
 function head(record, heading) {
-  return h("div", {}, h("h3", {}, heading, " ", h("a", { href: `/parameter-sets/${record.id}` }, short(record.id))),
+  return h("div", {}, h("h2", {}, heading, " ", h("a", { href: `/parameter-sets/${record.id}` }, short(record.id))),
     h("p", {}, grade(record.verdict.grade), ` ${record.status} · ${record.satellite} ${record.magnetometer}`),
     h("p", { class: "muted" }, `${record.method} · ${time(record.data_from)} · residual ${nt(record.statistics.after.rms_nt)}, cross-validated ${nt(record.statistics.cross_validated_rms_nt)}`));
 }

@@ -34,7 +34,7 @@ const columns = (again) => [
   { name: "created", value: (r) => r.created_at, show: (r) => h("span", { title: time(r.created_at) }, ago(r.created_at)) },
   { name: "attempts", numeric: true, value: (r) => r.attempts },
   { name: "result", value: (r) => r.result?.parameter_set_id ?? r.error?.code ?? "", show: result },
-  { name: "", value: () => "", show: (r) => actions(r, again) },
+  { name: "action", value: () => "", show: (r) => actions(r, again) },
 ];
 
 start(async () => {

@@ -35,7 +35,7 @@ start(async () => {
       { name: "created", value: (r) => r.created_at, show: (r) => time(r.created_at) },
       { name: "expires", value: (r) => r.expires_at, show: (r) => r.expires_at ? time(r.expires_at) : "never" },
       { name: "state", value: (r) => (r.revoked_at ? "revoked" : "in force") },
-      { name: "", value: () => "", show: (r) => r.revoked_at ? "" : h("button", { type: "button", onclick: () => revoke(r) }, "Revoke") },
+      { name: "action", value: () => "", show: (r) => r.revoked_at ? "" : h("button", { type: "button", onclick: () => revoke(r) }, "Revoke") },
     ], keys, { caption: "Keys", file: "keys" }));
   }
   async function revoke(key) {

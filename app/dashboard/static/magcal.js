@@ -93,7 +93,7 @@ export function tiles(...entries) {
 
 export function section(heading, ...children) {
   const id = heading.toLowerCase().replace(/[^a-z0-9]+/g, "-");
-  return h("section", { "aria-labelledby": id }, h("h2", { id }, heading), ...children);
+  return h("section", {}, h("h2", { id }, heading), ...children);
 }
 
 export function facts(rows) {

@@ -54,8 +54,8 @@ function verdict(record) {
   const { grade: name, reasons } = record.verdict;
   return h("section", { class: `verdict ${name}`, "aria-label": "Verdict" }, h("div", { class: "word" }, `${SYMBOLS[name]} ${name}`),
     reasons.length ? h("ul", {}, reasons.map((reason) => h("li", {}, reason))) : null,
-    record.advice?.length ? [h("h3", {}, "Advice"), h("ul", {}, record.advice.map((one) => h("li", {}, one)))] : null,
-    record.warnings.length ? [h("h3", {}, "Warnings"), h("ul", {}, record.warnings.map((warning) => h("li", {}, warning)))] : null);
+    record.advice?.length ? [h("h2", {}, "Advice"), h("ul", {}, record.advice.map((one) => h("li", {}, one)))] : null,
+    record.warnings.length ? [h("h2", {}, "Warnings"), h("ul", {}, record.warnings.map((warning) => h("li", {}, warning)))] : null);
 }
 
 function candidates(record) {

@@ -35,7 +35,7 @@ export function parameterTable(record) {
       h("td", { class: "n" }, shown(name, honest)), h("td", { class: "n" }, shown(name, formal)),
       h("td", { class: "n" }, honest && formal ? fixed(honest / formal, 1) : "–"));
   });
-  const names = ["", "name", "value", "unit", "standard error", "formal", "ratio"];
+  const names = ["symbol", "name", "value", "unit", "standard error", "formal", "ratio"];
   return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Parameters" }, h("table", {},
     h("caption", {}, "The standard error holds under correlated residuals; the formal one is what white noise alone would give."),
     h("thead", {}, h("tr", {}, names.map((name, i) => h("th", { scope: "col", class: i === 2 || i > 3 ? "n" : "" }, name)))),
@@ -54,7 +54,7 @@ export function differenceTable(before, after, headings = ["in force now", "new"
       h("td", { class: "n strong" }, known ? shown(name, made - old) : "–"), h("td", {}, unit(name)),
       h("td", { class: "n" }, errors === null ? "–" : fixed(errors, 1)));
   });
-  const names = ["", ...headings, "unit", "in standard errors"];
+  const names = ["parameter", ...headings, "unit", "in standard errors"];
   return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Differences" }, h("table", {},
     h("thead", {}, h("tr", {}, names.map((name, i) => h("th", { scope: "col", class: i && i !== 4 ? "n" : "" }, name)))), h("tbody", {}, rows)));
 }

@@ -39,7 +39,7 @@ async function draw(node) {
 }
 
 export function plot(address, heading, caption, height = 360) {
-  const node = h("div", { class: "plot", role: "img", "aria-label": `${heading}. ${caption ?? ""}`, "aria-busy": "true", "data-address": address });
+  const node = h("div", { class: "plot", role: "group", "aria-label": heading, "aria-busy": "true", "data-address": address });
   node.style.minHeight = `${height}px`;
   near.observe(node);
   return h("figure", {}, h("h3", {}, heading), node, caption ? h("figcaption", {}, caption) : null);

@@ -46,7 +46,7 @@ start(async () => {
       ["step", quality.step_s ? `${fixed(quality.step_s, 2)} s` : "–", quality.span_s ? `${fixed(quality.span_s / 3600, 2)} h` : null],
       ["gaps", quality.gaps === undefined ? "–" : String(quality.gaps), quality.longest_gap_s ? `longest ${fixed(quality.longest_gap_s, 0)} s` : null]),
     session.state === "open" ? h("p", { class: "notice weak" }, "This session is open: further chunks may arrive.") : null,
-    may("operate") && session.samples ? h("section", { id: "calibrate", "aria-labelledby": "calibrate-title" }, h("h2", { id: "calibrate-title" }, "Calibrate"), calibrate(session)) : null,
+    may("operate") && session.samples ? h("section", { id: "calibrate" }, h("h2", {}, "Calibrate"), calibrate(session)) : null,
     setsPlace,
     section("Readings", plot(`/sessions/${id}/figures/raw`, "|B| as measured and its components", "Crosses are samples with a flag.", 360)),
     section("Coverage", plot(`/sessions/${id}/figures/coverage`, "Where on the body sphere the field was seen", "Two hemispheres of the sensor's axes, equal area; large blank regions leave parameters undetermined.", 400)),
