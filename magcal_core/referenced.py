@@ -15,7 +15,7 @@ from magcal_core.field import FieldModel
 from magcal_core.field.models import field_model
 from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
-from magcal_core.reference import ReferenceReport, with_reference
+from magcal_core.reference import TELEMETRY_POSITION, ReferenceReport, with_reference
 from magcal_core.samples import SampleFlag, Samples
 
 Floats = NDArray[np.float64]
@@ -87,8 +87,8 @@ class Referenced:
 
     @property
     def has_orbit(self) -> bool:
-        """Whether an orbit gave the positions: only then its clock and the telemetry's can differ."""
-        return bool(self.report.orbits)
+        """Whether orbits gave all positions: only then their clock and the telemetry's can differ."""
+        return bool(self.report.orbits) and TELEMETRY_POSITION not in self.report.orbit_model
 
     def usable(self, regressors: Sequence[str], is_vector: bool) -> NDArray[np.bool_]:
         """Return which samples a method can use with these regressors, shape (n,)."""

@@ -26,6 +26,9 @@ _CORRELATED: Final = 0.2
 """Correlation of scores below which they pass for independent."""
 _BLOCK_OVER_CORRELATION: Final = 2.5
 """Block length over the lag at which the correlation is gone: a block must be longer, its edges are correlated."""
+_CHANCE: Final = 0.5
+_LARGEST: Final = 0.7
+"""Correlation of neighbouring blocks, in units of chance, that is let pass, and the largest that is believed."""
 _T_95: Final = (
     12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131,
 )  # fmt: skip
@@ -55,10 +58,25 @@ def honest_covariance(scores: BlockScores, formal: Floats, samples: int) -> Hone
     total = scores.normals.sum(axis=0)
     shifts = np.stack([_left_out(total - normal, s) for normal, s in zip(normals, sums, strict=True)])
     m = len(edges)
-    inner = shifts.T @ shifts * (m - 1) / m * (student_95(m - 1) / 1.96) ** 2
-    covariance = scores.to_parameters @ inner @ scores.to_parameters.T
-    raise_by = np.sqrt(np.maximum(1.0, np.diag(formal) / np.maximum(np.diag(covariance), 1e-300)))
+    moves = shifts @ scores.to_parameters.T
+    covariance = moves.T @ moves * (m - 1) / m * (student_95(m - 1) / 1.96) ** 2
+    wanted = np.maximum(np.diag(covariance) * _long_memory(moves), np.diag(formal))
+    raise_by = np.sqrt(wanted / np.maximum(np.diag(covariance), 1e-300))
     return HonestCovariance(covariance * np.outer(raise_by, raise_by), m, max(1, round(samples * per_block / count)))
+
+
+def _long_memory(moves: Floats) -> Floats:
+    """Return by how much each variance is too small because neighbouring blocks, rows of ``moves``, go together.
+
+    (1 + r) / (1 - r), the sum over a first-order process' correlations, with r the correlation of neighbours; the r that
+    independent blocks show by chance, and the -1/m that blocks which sum to zero show, are allowed for.
+    """
+    m = len(moves)
+    centred = moves - moves.mean(axis=0)
+    size = np.maximum(np.sum(centred**2, axis=0), 1e-300)
+    r = np.sum(centred[1:] * centred[:-1], axis=0) / size + 1.0 / m
+    r = np.clip(r - _CHANCE / np.sqrt(m), 0.0, _LARGEST)
+    return np.asarray((1.0 + r) / (1.0 - r))
 
 
 def _left_out(normal: Floats, score: Floats) -> Floats:
@@ -79,7 +97,7 @@ def _block_length(scores: BlockScores) -> int:
     longest = max(1, count // MIN_BLOCKS)
     lags = min(count - 1, longest + 1)
     size = np.maximum(np.sum(series**2, axis=0), 1e-300)
-    correlation = [float(np.mean(np.sum(series[lag:] * series[:-lag], axis=0) / size)) for lag in range(1, lags + 1)]
+    correlation = [float(np.max(np.sum(series[lag:] * series[:-lag], axis=0) / size)) for lag in range(1, lags + 1)]
     noise = 1.0 / np.sqrt(count)
     for lag, value in enumerate(correlation, start=1):
         if value < max(_CORRELATED, noise):
