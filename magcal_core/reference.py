@@ -13,7 +13,7 @@ from magcal_core.attitude.rotation import attitude_matrix
 from magcal_core.errors import OrbitMissingError
 from magcal_core.field import FieldModel
 from magcal_core.orbit import Orbit
-from magcal_core.orbit.choose import MAX_AGE_DAYS, NO_ORBIT, Choice, check_age, choose_orbits
+from magcal_core.orbit.choose import MAX_AGE_DAYS, check_age, choose_orbits
 from magcal_core.orbit.earth_fixed import itrf_to_gcrf_fast
 from magcal_core.samples import Floats, SampleFlag, Samples, Times
 
@@ -57,9 +57,10 @@ def with_reference(
 ) -> tuple[Samples, ReferenceReport]:
     """Return the samples with their reference field, and where it came from.
 
-    A field in the telemetry is taken as it is; else the field is computed at the position in the telemetry; else at the
-    position that the orbit chosen for each sample gives. The magnitude is always filled; the field in GCRF and in the
-    base frame where the samples have an attitude. Samples for which there is none are flagged ``NO_REFERENCE``.
+    A field in the telemetry is taken as it is; else the field is computed at the position in the telemetry, and for
+    samples that lack one at the position that the orbit chosen for each gives. The magnitude is always filled; the
+    field in GCRF and in the base frame where the samples have an attitude. Samples for which there is none are flagged
+    ``NO_REFERENCE``.
 
     Parameters
     ----------
@@ -82,46 +83,51 @@ def with_reference(
     if samples.has_reference:
         return _from_telemetry(samples), ReferenceReport(TELEMETRY_REFERENCE, (), field.name)
     t_true = samples.t_utc - np.timedelta64(round(time_offset_s * 1e9), "ns")
-    if samples.r_itrf_km is not None:
-        has_place = np.asarray(np.isfinite(samples.r_itrf_km).all(axis=1))
+    r_itrf_km = np.full((len(samples), 3), np.nan) if samples.r_itrf_km is None else samples.r_itrf_km.copy()
+    has_place = np.asarray(np.isfinite(r_itrf_km).all(axis=1))
+    if samples.r_itrf_km is not None and (has_place.all() or not orbits):
         report = ReferenceReport(TELEMETRY_POSITION, (), field.name)
-        return _with_field(samples, t_true, samples.r_itrf_km, has_place, field), report
-    choice = choose_orbits(orbits, t_true)
-    warnings = check_age(choice, orbits, max_orbit_age_days)
-    has_place = choice.index != NO_ORBIT
+        return _with_field(samples, t_true, r_itrf_km, has_place, field), report
+    return _from_orbits(samples, t_true, r_itrf_km, orbits, field, max_age_days=max_orbit_age_days)
+
+
+def _from_orbits(
+    samples: Samples,
+    t_true: Times,
+    r_itrf_km: Floats,
+    orbits: Sequence[Orbit],
+    field: FieldModel,
+    *,
+    max_age_days: float,
+) -> tuple[Samples, ReferenceReport]:
+    """Return the samples with position and field, the positions that the telemetry lacks from the orbits."""
+    has_place = np.asarray(np.isfinite(r_itrf_km).all(axis=1))
+    rows = np.flatnonzero(~has_place)
+    choice = choose_orbits(orbits, t_true[rows])
+    warnings = check_age(choice, orbits, max_age_days)
+    models = {TELEMETRY_POSITION} if has_place.any() else set()
+    entries = []
+    for i, chosen in choice.by_orbit():
+        r_itrf_km[rows[chosen]] = orbits[i].position_itrf_km(t_true[rows[chosen]])
+        has_place[rows[chosen]] = True
+        models.add(orbits[i].model)
+        entries.append(_entry(i, orbits[i], choice.age_days[chosen]))
     if not has_place.any():
         raise OrbitMissingError(_not_covered(orbits, samples.t_utc))
-    if not has_place.all():
-        warnings.append(f"orbit_gap: no orbit covers {np.count_nonzero(~has_place)} of {len(samples)} samples")
-    used = [i for i in range(len(orbits)) if (choice.index == i).any()]
-    r_itrf_km = _positions(orbits, used, choice, t_true)
-    report = ReferenceReport(
-        orbit_model="+".join(sorted({orbits[i].model for i in used})),
-        orbits=tuple(_entry(i, orbits[i], choice) for i in used),
-        field_model=field.name,
-        warnings=tuple(warnings),
-    )
-    return _with_field(samples, t_true, r_itrf_km, has_place, field), report
+    if gap := np.count_nonzero(~has_place):
+        warnings.append(f"orbit_gap: no orbit covers {gap} of {len(samples)} samples")
+    report = ReferenceReport("+".join(sorted(models)), tuple(entries), field.name, tuple(warnings))
+    cleared = samples.flags & ~np.where(has_place, np.uint16(SampleFlag.NO_REFERENCE), np.uint16(0))
+    return _with_field(replace(samples, flags=cleared), t_true, r_itrf_km, has_place, field), report
 
 
-def _positions(orbits: Sequence[Orbit], used: Sequence[int], choice: Choice, t_utc: Times) -> Floats:
-    if len(used) == 1 and (choice.index == used[0]).all():
-        return orbits[used[0]].position_itrf_km(t_utc)
-    r_itrf_km = np.full((len(t_utc), 3), np.nan)
-    for i in used:
-        rows = choice.rows(i)
-        r_itrf_km[rows] = orbits[i].position_itrf_km(t_utc[rows])
-    return r_itrf_km
-
-
-def _entry(index: int, orbit: Orbit, choice: Choice) -> Mapping[str, object]:
-    rows = choice.rows(index)
+def _entry(index: int, orbit: Orbit, age_days: Floats) -> Mapping[str, object]:
     return {
         "index": index,
         "model": orbit.model,
         "epoch": f"{np.datetime_as_string(orbit.epoch_utc, unit='us')}Z",
-        "age_days": round(float(choice.age_days[rows].max()), 6),
-        "samples": len(rows),
+        "age_days": round(float(age_days.max()), 6),
+        "samples": len(age_days),
     }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol, runtime_checkable
 
@@ -50,6 +50,14 @@ class Choice:
     def rows(self, orbit: int) -> Indices:
         """Return the samples that use the orbit at this position."""
         return np.flatnonzero(self.index == orbit)
+
+    def by_orbit(self) -> Iterator[tuple[int, Indices]]:
+        """Yield each orbit that is used, by its position in the sequence, with the samples that use it in order."""
+        order = np.argsort(self.index, kind="stable")
+        orbits, starts = np.unique(self.index[order], return_index=True)
+        for orbit, rows in zip(orbits.tolist(), np.split(order, starts[1:]), strict=True):
+            if orbit != NO_ORBIT:
+                yield orbit, rows
 
 
 def choose_orbits(orbits: Sequence[Orbit], t_utc: Times) -> Choice:

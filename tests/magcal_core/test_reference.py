@@ -115,6 +115,20 @@ def test_positions_in_the_telemetry_replace_the_orbit(samples: Samples, orbits: 
     assert filled.flags[5] == SampleFlag.NO_REFERENCE
 
 
+def test_orbits_fill_the_gaps_of_positions_in_the_telemetry(samples: Samples, orbits: list[Sgp4Orbit]) -> None:
+    """GNSS outages, or a session without GNSS beside one with it: a fix 10 km off shows which rows it gave."""
+    by_orbit = orbits[0].position_itrf_km(samples.t_utc)
+    r_km = by_orbit + 10.0
+    r_km[50:80] = np.nan
+    flagged = replace(samples, r_itrf_km=r_km).flagged(SampleFlag.NO_REFERENCE, np.isnan(r_km[:, 0]))
+    filled, report = with_reference(flagged, orbits, FIELD)
+    assert report.orbit_model == "sgp4+telemetry-position"
+    assert [entry["samples"] for entry in report.orbits] == [30]
+    np.testing.assert_allclose(_given(filled.r_itrf_km)[50:80], by_orbit[50:80], rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(_given(filled.r_itrf_km)[:50], r_km[:50])
+    assert filled.is_used.all()
+
+
 def test_a_reference_in_the_telemetry_needs_neither_orbit_nor_model(samples: Samples) -> None:
     b_nt = np.random.default_rng(1).normal(scale=2e4, size=(200, 3))
     b_nt[3] = np.nan
