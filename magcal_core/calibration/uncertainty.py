@@ -68,8 +68,8 @@ def honest_covariance(scores: BlockScores, formal: Floats, samples: int) -> Hone
 def _long_memory(moves: Floats) -> Floats:
     """Return by how much each variance is too small because neighbouring blocks, rows of ``moves``, go together.
 
-    (1 + r) / (1 - r), the sum over a first-order process' correlations, with r the correlation of neighbours; the r that
-    independent blocks show by chance, and the -1/m that blocks which sum to zero show, are allowed for.
+    (1 + r) / (1 - r), the sum over a first-order process' correlations, with r the correlation of neighbours; the r
+    that independent blocks show by chance, and the -1/m that blocks which sum to zero show, are allowed for.
     """
     m = len(moves)
     centred = moves - moves.mean(axis=0)
