@@ -120,6 +120,15 @@ def authenticate(request: Request, _documented: Annotated[object, Depends(bearer
     return Caller(row.id, frozenset(row.scopes), satellites, address, request.state.request_id)
 
 
+def is_still_valid(request: Request) -> bool:
+    """Return whether the key or login of a request that goes on is still in force."""
+    try:
+        authenticate(request)
+    except UnauthorizedError:
+        return False
+    return True
+
+
 def require(*scopes: Scope) -> Callable[[Caller], Coroutine[None, None, Caller]]:
     """Return a dependency that lets only keys with one of ``scopes`` pass."""
     names = " or ".join(scopes)

@@ -135,10 +135,18 @@ class NotAcceptableError(ServiceError):
 
 
 class QuotaError(ServiceError):
-    """More than a key may ask for."""
+    """More than a key may ask for: of what, how much it may, how much it uses, and when to ask again."""
 
     code = "quota"
-    headers = {"Retry-After": "60"}  # noqa: RUF012
+
+    def __init__(self, what: str, limit: int, used: int, *, reset_s: int) -> None:
+        super().__init__(f"{what}: {used}, and the limit is {limit}")
+        self.headers = {
+            "Retry-After": str(reset_s),
+            "RateLimit-Limit": str(limit),
+            "RateLimit-Remaining": str(max(0, limit - used)),
+            "RateLimit-Reset": str(reset_s),
+        }
 
 
 class TooManyFailuresError(ServiceError):

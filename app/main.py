@@ -57,7 +57,7 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
     app.state.engine = open_engine(database, store, settings, workers)
     app.state.queue = app.state.engine.queue
     app.state.failures = FailureLimiter(settings.auth_failures_per_minute)
-    app.state.uploads = Admission(settings.max_uploads_at_once)
+    app.state.uploads = Admission(settings.max_uploads_at_once, settings.max_uploads_per_key)
     app.state.running = Running()
     app.include_router(health.router)
     api = APIRouter(prefix=API)

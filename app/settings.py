@@ -30,6 +30,10 @@ class Settings(BaseSettings):
     max_decompression_ratio: PositiveInt = Field(20, description="Largest ratio after the first 8 MiB.")
     max_rows: PositiveInt = Field(2_000_000, description="Most rows of one upload.")
     max_uploads_at_once: PositiveInt = Field(64, description="Uploads in flight; more are answered 503.")
+    max_uploads_per_key: PositiveInt = Field(32, description="Uploads in flight of one key; more are answered 429.")
+    max_mb_per_day: PositiveInt | None = Field(
+        None, description="Telemetry of one key in 24 hours, MB (1e6 bytes); unset: no limit."
+    )
     upload_stall_s: PositiveFloat = Field(30.0, description="Cut an upload that makes no progress for so long, s.")
     min_free_mb: NonNegativeInt = Field(1024, description="Refuse uploads where the disk has less free, MiB.")
     max_bad_samples: float = Field(0.05, ge=0, le=1, description="Refuse telemetry with more flagged samples (share).")

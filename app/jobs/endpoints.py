@@ -6,11 +6,11 @@ import asyncio
 from collections.abc import AsyncIterator
 from typing import Annotated, Final
 
-from fastapi import APIRouter, Depends, Query, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 
-from app.auth import Operator, Reader
+from app.auth import Operator, Reader, is_still_valid
 from app.body import StrictJsonRoute
 from app.idempotency import KeyHeader, fingerprint, recall, remember
 from app.jobs.kinds import JobRequest
@@ -76,9 +76,9 @@ def _known_job(job_id: str, caller: Reader, db: Db) -> JobRead:
 
 @router.get("/{job_id}/events", response_class=EventSourceResponse)
 async def follow_job(
-    first: Annotated[JobRead, Depends(_known_job)], caller: Reader, db: Db
+    first: Annotated[JobRead, Depends(_known_job)], request: Request, caller: Reader, db: Db
 ) -> AsyncIterator[ServerSentEvent]:
-    """Follow a job: one event a change, the last when it has ended."""
+    """Follow a job: one event a change, the last when it has ended; a revoked key sees no more."""
     job, number = first, 0
     while True:
         yield ServerSentEvent(data=job.model_dump(mode="json"), event=job.state, id=str(number))
@@ -87,6 +87,8 @@ async def follow_job(
         before, number = job, number + 1
         while job == before:
             await asyncio.sleep(LOOK_EVERY_S)
+            if not await run_in_threadpool(is_still_valid, request):
+                return
             job = await run_in_threadpool(_look, job.id, caller, db)
 
 

@@ -59,8 +59,9 @@ class JobRepository:
 
     def _check_quota(self, most_queued: int) -> None:
         waiting = select(func.count()).where(Job.created_by == self.caller.key_id, Job.state == "queued")
-        if (self.session.scalar(waiting) or 0) >= most_queued:
-            raise QuotaError(f"the key has {most_queued} jobs waiting, which is the limit")
+        used = self.session.scalar(waiting) or 0
+        if used >= most_queued:
+            raise QuotaError("jobs of this key that wait", most_queued, used, reset_s=60)
 
     def get(self, job_id: str) -> Job:
         """Return the job ``job_id``."""

@@ -53,7 +53,7 @@ async def create_orbits(
 ) -> OrbitList:
     """Send the orbits of a satellite; those that are there already are not kept twice."""
     await run_in_threadpool(_require, satellite_id, caller, db)
-    async with request.app.state.uploads.place():
+    async with request.app.state.uploads.place(caller):
         upload = await receive(request, config)
         orbits, is_any_new = await run_in_threadpool(_keep, satellite_id, upload.content, upload.media_type, caller, db)
     response.status_code = 201 if is_any_new else 200

@@ -120,7 +120,7 @@ async def apply_parameter_set(
 ) -> Response:
     """Correct telemetry to nT in time order; `inverse=true` turns that back into raw readings in their own unit."""
     row, sensor = await run_in_threadpool(_row_and_sensor, parameter_set_id, caller, db)
-    async with request.app.state.uploads.place():
+    async with request.app.state.uploads.place(caller):
         upload = await receive(request, config)
         sent = MEDIA_TYPES.get(upload.media_type.partition(";")[0].strip().lower(), "csv")
         form = wanted_format(request, query.format, sent)

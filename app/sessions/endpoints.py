@@ -19,7 +19,7 @@ from app.sessions.ingest import Ingest
 from app.sessions.repository import SessionRepository, samples_of
 from app.sessions.schemas import ChunkRead, SampleQuery, SessionDetail, SessionQuery, SessionRead, UploadQuery
 from app.sessions.tables import TelemetrySession
-from app.sessions.upload import receive
+from app.sessions.upload import check_declared, receive
 from app.tabular import table_response, wanted_format
 from magcal_core.telemetry import MEDIA_TYPES, WRITERS, write_samples
 
@@ -59,6 +59,14 @@ def _values(row: TelemetrySession) -> dict[str, object]:
     }
 
 
+def _check_day(request: Request, caller: Caller, db: Db, config: Config) -> None:
+    if config.max_mb_per_day is None:
+        return
+    declared = check_declared(request, config)
+    with db.read() as session:
+        SessionRepository(session, caller).check_day(config.max_mb_per_day * 1_000_000, declared)
+
+
 def _require_satellite(satellite_id: str, caller: Caller, db: Db) -> None:
     with db.read() as session:
         SatelliteRepository(session, caller).get(satellite_id)
@@ -83,8 +91,9 @@ async def upload_session(
 ) -> SessionRead:
     """Send telemetry of one magnetometer; the same bytes again are the same session."""
     await run_in_threadpool(_require_satellite, satellite_id, caller, db)
+    await run_in_threadpool(_check_day, request, caller, db, config)
     with request.app.state.running.hold(caller, key):
-        async with request.app.state.uploads.place():
+        async with request.app.state.uploads.place(caller):
             upload = await receive(request, config)
             kept = await run_in_threadpool(ingest.keep, satellite_id, query, upload, key)
     response.status_code = 201 if kept.is_new else 200
@@ -98,7 +107,8 @@ async def append_samples(
 ) -> SessionRead:
     """Append a chunk to an open session; the same bytes again change nothing."""
     await run_in_threadpool(_get_row, session_id, caller, db)
-    async with request.app.state.uploads.place():
+    await run_in_threadpool(_check_day, request, caller, db, config)
+    async with request.app.state.uploads.place(caller):
         upload = await receive(request, config)
         return _read(await run_in_threadpool(ingest.append, session_id, upload))
 

@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from typing import Final
 
 import numpy as np
 from sqlalchemy import func, select
@@ -13,7 +14,7 @@ from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
 from app.database import new_id, utc_now
-from app.errors import ConflictError, NotFoundError
+from app.errors import ConflictError, NotFoundError, QuotaError
 from app.keys.repository import Caller, record_event
 from app.paging import fetch_page
 from app.satellites.repository import within_reach
@@ -25,6 +26,8 @@ from app.sessions.upload import Upload
 from app.store import Store, columns_key, raw_key
 from magcal_core.samples import Samples
 from magcal_core.telemetry import Telemetry, merge_samples
+
+DAY: Final = timedelta(days=1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,6 +180,17 @@ class SessionRepository:
             store.get(self.session, columns_key(session_id, chunk.sequence), chunk.columns_sha256)
             for chunk in self.chunks(session_id)
         ]
+
+    def check_day(self, most_bytes: int, declared: int) -> None:
+        """Raise QuotaError where ``declared`` further bytes exceed what the caller's key may send in 24 hours."""
+        since = utc_now() - DAY
+        mine = (TelemetrySession.created_by == self.caller.key_id, Chunk.created_at > since)
+        sent = select(func.coalesce(func.sum(Chunk.size_bytes), 0), func.min(Chunk.created_at))
+        row = self.session.execute(sent.join(TelemetrySession).where(*mine)).one()
+        used, first = int(row[0]), row[1] or utc_now()
+        if used + declared > most_bytes:
+            reset_s = max(1, int((first - since).total_seconds()) + 1)
+            raise QuotaError("bytes of telemetry of this key in 24 hours", most_bytes, used, reset_s=reset_s)
 
     def count(self) -> int:
         """Return how many sessions the caller reaches."""
