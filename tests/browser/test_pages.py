@@ -104,7 +104,7 @@ def test_everything_that_can_be_clicked_is_reached_by_keyboard(
         page.keyboard.press("Tab")
         mark, is_shown = page.evaluate(
             """() => { const node = document.activeElement;
-               const isShown = node.matches(":focus-visible") || node.type === "datetime-local"; 
+               const isShown = node.matches(":focus-visible") || node.type === "datetime-local";
                return [node.dataset.reach ?? null, isShown]; }"""
         )
         if mark is not None:
