@@ -70,6 +70,11 @@ class Admission:
         self._most_per_key = most_per_key
         self._per_key: Counter[str] = Counter()
 
+    @property
+    def in_flight(self) -> int:
+        """How many uploads there are at the moment."""
+        return self._per_key.total()
+
     @asynccontextmanager
     async def place(self, caller: Caller) -> AsyncIterator[None]:
         """Hold a place while an upload is received and kept.
@@ -82,7 +87,7 @@ class Admission:
         used = self._per_key[caller.key_id]
         if used >= self._most_per_key:
             raise QuotaError("uploads in flight of this key", self._most_per_key, used, reset_s=1)
-        if self._per_key.total() >= self._most:
+        if self.in_flight >= self._most:
             raise BusyError(f"{self._most} uploads are in flight, which is the limit; try again")
         self._per_key[caller.key_id] += 1
         try:
