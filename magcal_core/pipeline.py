@@ -193,7 +193,7 @@ def _at_clock(estimator: Estimator, observations: Observations, settings: FitSet
 def _suspicions(referenced: Referenced, estimate: _Estimate) -> tuple[Suspicion, ...]:
     """Return what the data say against their own unit, axes, attitude, frame and clock."""
     clock = estimate.clock
-    found = None if clock is None else ClockFinding(clock.offset_s, clock.offset_error_s)
+    found = None if clock is None else ClockFinding(-clock.offset_s, clock.offset_error_s)
     is_from_telemetry = referenced.report.orbit_model == TELEMETRY_POSITION
     return suspicions(referenced.samples, clock=found, position_field=referenced.field if is_from_telemetry else None)
 

@@ -67,7 +67,8 @@ def with_reference(
     samples, orbits, field
         Telemetry, the orbits to choose from, and the model of the field.
     time_offset_s : float
-        Telemetry clock minus true time, s: the satellite is taken to have been where it was at ``t_utc`` less this.
+        Seconds to add to the telemetry's clock: the satellite is taken to have been where the orbit has it at ``t_utc``
+        plus this.
     max_orbit_age_days : float
         Refuse an orbit whose epoch is farther from a sample, days.
 
@@ -82,7 +83,7 @@ def with_reference(
     """
     if samples.has_reference:
         return _from_telemetry(samples), ReferenceReport(TELEMETRY_REFERENCE, (), field.name)
-    t_true = samples.t_utc - np.timedelta64(round(time_offset_s * 1e9), "ns")
+    t_true = samples.t_utc + np.timedelta64(round(time_offset_s * 1e9), "ns")
     r_itrf_km = np.full((len(samples), 3), np.nan) if samples.r_itrf_km is None else samples.r_itrf_km.copy()
     has_place = np.asarray(np.isfinite(r_itrf_km).all(axis=1))
     if samples.r_itrf_km is not None and (has_place.all() or not orbits):

@@ -108,11 +108,11 @@ class Referenced:
         return Observations.of(self.samples, regressors, usable.astype(np.float64))
 
     def shifted(self, usable: NDArray[np.bool_], regressors: Sequence[str], shift_s: Floats) -> Observations:
-        """Return the same with the reference at times that are ``shift_s``, shape (usable,), s, before the clock's."""
+        """Return the same with the reference at times that are ``shift_s``, shape (usable,), s, after the clock's."""
         bare = self.samples.take(usable)
         moved = replace(
             bare,
-            t_utc=bare.t_utc - np.round(shift_s * 1e9).astype("timedelta64[ns]"),
+            t_utc=bare.t_utc + np.round(shift_s * 1e9).astype("timedelta64[ns]"),
             b_ref_base_nt=None,
             b_ref_gcrf_nt=None,
             b_ref_magnitude_nt=None,

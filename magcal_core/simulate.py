@@ -41,7 +41,7 @@ class Disturbances:
     outlier_fraction, outlier_nt : share of readings with a spike, and its length, nT, in a random direction.
     dropout_fraction : share of samples that never arrive.
     range_nt : readings are cut at +- this, nT; None for a sensor without limits.
-    clock_offset_s : telemetry clock minus true time, s.
+    time_offset_s : seconds to add to the telemetry's clock to have true time.
     temperature_nt_per_k : shape (3,), change of the bias with temperature, nT/K; where it is not zero the telemetry
         has a column ``temperature``, deg C.
     temperature_period_s : period of the temperature, s.
@@ -55,7 +55,7 @@ class Disturbances:
     outlier_nt: float = 5000.0
     dropout_fraction: float = 0.0
     range_nt: float | None = None
-    clock_offset_s: float = 0.0
+    time_offset_s: float = 0.0
     temperature_nt_per_k: tuple[float, float, float] = (0.0, 0.0, 0.0)
     temperature_period_s: float = 5700.0
     wave_nt: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -176,8 +176,8 @@ def simulate(
     b_base_nt = rotate(q, b_gcrf_nt)
     h_nt, housekeeping, outliers = _readings(sensor.apply(b_base_nt), t_s, disturbed, streams)
     arrived = streams["dropouts"].random(len(t_s)) >= disturbed.dropout_fraction
-    offset_ns = np.timedelta64(round(disturbed.clock_offset_s * 1e9), "ns")
-    samples = Samples(t_utc + offset_ns, h_nt, _sent(q, disturbed, streams), housekeeping=housekeeping).take(arrived)
+    offset_ns = np.timedelta64(round(disturbed.time_offset_s * 1e9), "ns")
+    samples = Samples(t_utc - offset_ns, h_nt, _sent(q, disturbed, streams), housekeeping=housekeeping).take(arrived)
     truth = {
         "parameters": _parameters(sensor, disturbed).to_dict(),
         "matrix": sensor.matrix.tolist(),
@@ -256,7 +256,7 @@ def _sent(q: Floats, disturbed: Disturbances, streams: _Streams) -> Floats:
 
 def _parameters(sensor: SensorModel, disturbed: Disturbances) -> Parameters:
     regressors = {"temperature": np.array(disturbed.temperature_nt_per_k)} if disturbed.has_temperature else {}
-    return Parameters(sensor.bias_nt, sensor.scale, sensor.nonorthogonality_deg, disturbed.clock_offset_s, regressors)
+    return Parameters(sensor.bias_nt, sensor.scale, sensor.nonorthogonality_deg, disturbed.time_offset_s, regressors)
 
 
 def _saturated(samples: Samples, range_nt: float | None) -> list[int]:

@@ -51,7 +51,7 @@ class Observations:
     regressors : name -> shape (n,)
         Columns that may move the bias.
     rate_nt_s : shape (n, m)
-        Rates of `b_nt` by each unknown of the clock (offset, s; drift, s/s): m = 0 where none is estimated.
+        Fall of `b_nt` by each unknown of the clock (offset, s; drift, s/s): m = 0 where none is estimated.
     rate_base_nt_s : shape (n, m, 3), optional
         The same of `b_base_nt`.
     """

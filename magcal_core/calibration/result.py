@@ -24,7 +24,7 @@ class Parameters:
     nonorthogonality_deg : shape (3,)
         Angles e1, e2, e3 of the sensing axes, deg.
     time_offset_s : float or None
-        Telemetry clock minus true time, s; None where it was not estimated.
+        Seconds to add to the telemetry's clock to have the orbit's time; None where it was not estimated.
     regressors : name -> shape (3,)
         Change of the bias per unit of each regressor, nT per unit.
     """

@@ -45,7 +45,7 @@ class Suspicion:
 
 @dataclass(frozen=True, slots=True)
 class ClockFinding:
-    """A clock offset that was estimated with the parameters, s, and its standard error, s."""
+    """How far the clock was found to be ahead of the orbit's time, s, and its standard error, s."""
 
     offset_s: float
     error_s: float
@@ -122,7 +122,7 @@ def _units(h_nt: Floats, b_nt: Floats) -> Iterator[Suspicion]:
     left = {factor: _rms(size / factor - b_nt) for factor, _, _ in pairs}
     factor = min(left, key=lambda one: left[one])
     ratio = spread / left[factor]
-    if ratio < FRAME_RATIO or left[factor] > 0.9 * _rms(b_nt):
+    if ratio < FRAME_RATIO or not factor / 2 <= _gain(h_nt, b_nt) <= 2 * factor:
         return
     named = [f"{meant} taken for {said}" for value, said, meant in pairs if value == factor]
     yield Suspicion(
@@ -132,6 +132,18 @@ def _units(h_nt: Floats, b_nt: Floats) -> Iterator[Suspicion]:
         float(ratio),
         f"factor {1 / factor:g}",
     )
+
+
+def _gain(h_nt: Floats, b_nt: Floats) -> float:
+    """Return the one scale factor k of |h|^2 = 2 b.h + k^2 |B|^2 - |b|^2: a large bias does not pass for it."""
+    size = float(np.sqrt(np.mean(np.sum(h_nt**2, axis=1))))
+    field = float(np.sqrt(np.mean(b_nt**2)))
+    columns = np.column_stack([h_nt / size, (b_nt / field) ** 2, np.ones(len(b_nt))])
+    found = np.linalg.lstsq(columns, np.sum((h_nt / size) ** 2, axis=1), rcond=None)[0]
+    if np.std(b_nt) > 0.02 * field:
+        return float(np.sqrt(max(found[3], 0.0)) * size / field)
+    # The field hardly varies: its square and the constant cannot be told apart, their sum can.
+    return float(np.sqrt(max(found[3] + found[4] + np.sum((found[:3] / 2) ** 2), 0.0)) * size / field)
 
 
 def _rms(values: Floats) -> float:

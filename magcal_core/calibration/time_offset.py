@@ -2,8 +2,9 @@
 
 Notes
 -----
-A TLE that is some weeks off is wrong mostly along track, which is an error of time. The reference at t - tau - delta is
-B(t - tau) - delta dB/dt: delta is one more unknown of the fit, and the reference is computed anew until it vanishes.
+A TLE that is some weeks off is wrong mostly along track, which is an error of time. The offset tau is what must be added
+to the telemetry's clock. The reference at t + tau + delta is B(t + tau) + delta dB/dt: delta is one more unknown of the
+fit, and the reference is computed anew until it vanishes.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _RATE_STEP_S: Final = 0.5
 LARGEST_S: Final = 3600.0
 
 At = Callable[[Floats], Observations]
-"""Shift of each sample's time, s, shape (n,) -> observations with the reference at the shifted times."""
+"""Seconds to add to each sample's time, shape (n,) -> observations with the reference at those times."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,7 +105,7 @@ def fit_with_clock(estimator: Estimator, at: At, t_s: Floats, settings: FitSetti
 
 
 def _with_rates(at: At, shift_s: Floats, shapes: Floats) -> Observations:
-    """Return the observations at ``shift_s`` with the reference's rate by each unknown of the clock."""
+    """Return the observations at ``shift_s`` with the fall of the reference by each unknown of the clock."""
     here, later, sooner = at(shift_s), at(shift_s + _RATE_STEP_S), at(shift_s - _RATE_STEP_S)
     rate = (sooner.b_nt - later.b_nt) / (2 * _RATE_STEP_S)
     base = None

@@ -100,9 +100,9 @@ def test_dropped_samples_are_missing_and_counted(orbit: Sgp4Orbit) -> None:
     np.testing.assert_array_equal(got.samples.h_nt, whole.samples.h_nt[kept])
 
 
-def test_the_clock_runs_ahead_by_its_offset(orbit: Sgp4Orbit) -> None:
-    got, true = simulated(orbit, Disturbances(clock_offset_s=12.5)), simulated(orbit)
-    np.testing.assert_array_equal(got.samples.t_utc - true.samples.t_utc, np.timedelta64(12_500_000_000, "ns"))
+def test_the_clock_is_behind_by_its_offset(orbit: Sgp4Orbit) -> None:
+    got, true = simulated(orbit, Disturbances(time_offset_s=12.5)), simulated(orbit)
+    np.testing.assert_array_equal(true.samples.t_utc - got.samples.t_utc, np.timedelta64(12_500_000_000, "ns"))
     np.testing.assert_array_equal(got.samples.h_nt, true.samples.h_nt)
     np.testing.assert_array_equal(got.t_true_utc, true.samples.t_utc)
     parameters = got.truth["parameters"]
