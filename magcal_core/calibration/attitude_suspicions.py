@@ -10,7 +10,8 @@ import numpy as np
 
 from magcal_core.attitude.rotation import attitude_matrix, conjugate, rotate
 from magcal_core.calibration.fit import Floats
-from magcal_core.calibration.linear_score import affine_rms_nt
+from magcal_core.calibration.linear_score import affine_residuals_nt, affine_rms_nt
+from magcal_core.calibration.weights import robust_sigma
 from magcal_core.samples import Samples
 
 GROSS_RATIO: Final = 5.0
@@ -24,6 +25,9 @@ fifth of the residual would ask for noise below 15 nT.
 """
 _GROSS_SHARE: Final = 0.03
 """Share of the field that a wrong convention leaves at the least: below it only a neighbouring frame can be meant."""
+
+_SAME_TURN: Final = 0.35
+"""How near the turn that fits best must lie to the candidate's, as a share of it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,9 +72,32 @@ def best_attitude(samples: Samples) -> AttitudeCandidate | None:
     best = AttitudeCandidate("as sent", "the attitude is as it was sent", np.inf, before, before, sent)
     for name, says, threshold, b_base in _candidates(samples, q, gcrf, is_gross=is_gross):
         after = affine_rms_nt(h_nt, b_base[use])
-        if before / after >= threshold and after < best.after_nt:
+        is_better = before / after >= threshold and after < best.after_nt
+        if is_better and (is_gross or _is_this_turn(h_nt, q[use], gcrf[use], b_base[use])):
             best = AttitudeCandidate(name, says, threshold, before, after, b_base)
     return best
+
+
+def _is_this_turn(h_nt: Floats, q: Floats, gcrf: Floats, candidate: Floats) -> bool:
+    """Return whether the turn of the inertial frame that fits best is the candidate's, of all small turns.
+
+    ``candidate``: field in the base frame after the candidate's turn. Slow errors of the bias explain some turn in a
+    short pass; that it is this very one, to `_SAME_TURN` of its size, they do not.
+    """
+    sent = rotate(q, gcrf)
+    h_nt, rows = h_nt - h_nt.mean(axis=0), sent - sent.mean(axis=0)
+    gains = np.linalg.lstsq(rows, h_nt, rcond=None)[0]
+    errors = affine_residuals_nt(h_nt, sent)
+    near = np.linalg.norm(errors, axis=1) <= 4.0 * robust_sigma(np.linalg.norm(errors, axis=1))
+    moves = [affine_residuals_nt(rotate(q, np.cross(axis, gcrf)) @ gains, sent)[near].ravel() for axis in np.eye(3)]
+    found = np.linalg.lstsq(np.column_stack(moves), errors[near].ravel(), rcond=None)[0]
+    back = rotate(conjugate(q), candidate)
+    meant = np.linalg.lstsq(
+        np.concatenate([np.cross(axis, gcrf)[:, :, None] for axis in np.eye(3)], axis=2).reshape(-1, 3),
+        (back - gcrf).ravel(),
+        rcond=None,
+    )[0]
+    return bool(np.linalg.norm(found - meant) <= _SAME_TURN * np.linalg.norm(meant))
 
 
 def _candidates(
