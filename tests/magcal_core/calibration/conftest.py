@@ -38,9 +38,9 @@ def case(data_dir: Path) -> Callable[[str], Case]:
     return load
 
 
-def directions(motion: str, n: int, rng: np.random.Generator) -> NDArray[np.float64]:
+def directions(motion: str, n: int, rng: np.random.Generator, rate_deg_s: float = 0.76) -> NDArray[np.float64]:
     """Unit vectors of the field in the base frame, sampled every 10 s."""
-    turn = np.deg2rad(0.76) * 10.0 * np.arange(n)
+    turn = np.deg2rad(rate_deg_s) * 10.0 * np.arange(n)
     frame = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     if motion == "tumble":
         slow = 0.41 * turn
@@ -81,12 +81,13 @@ def fly(  # noqa: PLR0917
     sensor: SensorModel = TABLE_1,
     constant_nt: float | None = None,
     axial_nt: float | None = None,
+    rate_deg_s: float = 0.76,
 ) -> Mission:
     """Simulate a mission over a dipole field: |B| 22-46 uT over a 5700 s orbit, or constant."""
     rng = np.random.default_rng(seed)
     phase = 2 * np.pi * np.arange(n) / 570.0
     magnitude = np.full(n, constant_nt) if constant_nt else 23000.0 * np.sqrt(1 + 2.9 * np.sin(phase) ** 2)
-    b_nt = directions(motion, n, rng) * magnitude[:, None]
+    b_nt = directions(motion, n, rng, rate_deg_s) * magnitude[:, None]
     if axial_nt is not None:
         turn = np.deg2rad(0.76) * 10.0 * np.arange(n)
         across = np.sqrt(magnitude**2 - axial_nt**2)
