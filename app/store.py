@@ -135,3 +135,8 @@ def columns_key(session_id: str, sequence: int) -> str:
 def residuals_key(parameter_set_id: str) -> str:
     """Return the key of a parameter set's residual table."""
     return f"residuals/{parameter_set_id}"
+
+
+def series_key(job_id: str) -> str:
+    """Return the key of a job's series."""
+    return f"series/{job_id}"

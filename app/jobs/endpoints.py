@@ -16,9 +16,14 @@ from app.idempotency import KeyHeader, fingerprint, recall, remember
 from app.jobs.kinds import JobRequest
 from app.jobs.repository import JobRepository
 from app.jobs.schemas import JobQuery, JobRead
+from app.jobs.series import read_series
 from app.keys.repository import Caller
-from app.resources import Config, Db, Jobs
+from app.parameter_sets.residuals import from_bytes
+from app.parameter_sets.schemas import TableQuery
+from app.resources import Blobs, Config, Db, Jobs
 from app.schemas import Page
+from app.sessions.endpoints import TABLES
+from app.tabular import table_response, wanted_format, write_table
 
 router = APIRouter(route_class=StrictJsonRoute, prefix="/jobs", tags=["jobs"])
 
@@ -90,6 +95,17 @@ async def follow_job(
             if not await run_in_threadpool(is_still_valid, request):
                 return
             job = await run_in_threadpool(_look, job.id, caller, db)
+
+
+@router.get("/{job_id}/series", responses=TABLES)
+def get_series(
+    job_id: str, query: Annotated[TableQuery, Query()], request: Request, caller: Reader, db: Db, store: Blobs
+) -> Response:
+    """Give the series of a simulation or an energy balance as CSV, NDJSON, JSON columns or Parquet."""
+    form = wanted_format(request, query.format, "json")
+    with db.read() as session:
+        content = read_series(session, store, JobRepository(session, caller).get(job_id))
+    return table_response(write_table(from_bytes(content), form), form, f"series-{job_id}")
 
 
 @router.post("/{job_id}/cancel", status_code=202)

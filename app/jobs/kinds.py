@@ -7,12 +7,16 @@ from typing import TYPE_CHECKING, Annotated, Final, Union
 
 from pydantic import Field
 
+from app.jobs.attitude_simulation import AttitudeKind
 from app.jobs.calibration import CalibrationKind
+from app.jobs.energy_balance import EnergyKind
 from app.jobs.kind import JobKind
 from app.jobs.schemas import JobBody
 
 JOB_KINDS: Final[Mapping[str, JobKind]] = {
     "calibration": CalibrationKind(),
+    "attitude-simulation": AttitudeKind(),
+    "energy-balance": EnergyKind(),
 }
 
 if TYPE_CHECKING:
