@@ -26,7 +26,8 @@ def command(telemetry: Path, satellite: str, magnetometer: str, url: str, key: s
     from app.client import Client, media_type_of
 
     content = telemetry.read_bytes()
-    with Client(url, key) as client, Progress(console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    with Client(url, key) as client, Progress(console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task(telemetry.name, total=1.0)
         session = client.upload(
             satellite,

@@ -10,6 +10,7 @@ import numpy as np
 
 from app.errors import UnsupportedMediaError
 from magcal_core.orbit import Orbit
+from magcal_core.orbit.sgp4 import Sgp4Orbit
 from magcal_core.orbit.sources import OrbitSource, parse_orbits, parse_sources
 
 MEDIA_TYPES: Final = frozenset(
@@ -30,7 +31,7 @@ class ParsedOrbit:
 
 
 def parse_message(body: bytes, media_type: str) -> list[ParsedOrbit]:
-    """Return the orbits of a message; each can be propagated at its epoch.
+    """Return the orbits of a message; mean elements can be propagated at their epoch.
 
     Raises
     ------
@@ -44,7 +45,8 @@ def parse_message(body: bytes, media_type: str) -> list[ParsedOrbit]:
         raise UnsupportedMediaError("this content type is not an orbit message")
     found = parse_sources(body, plain or None)
     for source in found:
-        source.orbit.position_itrf_km(np.array([source.epoch_utc], "datetime64[ns]"))
+        if isinstance(source.orbit, Sgp4Orbit):
+            source.orbit.position_itrf_km(np.array([source.epoch_utc], "datetime64[ns]"))
     return [_parsed(source) for source in found]
 
 

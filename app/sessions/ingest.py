@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from sqlalchemy.orm import Session
 
 from app.database import Database
+from app.idempotency import fingerprint, recall, remember
 from app.jobs.port import Queue
 from app.jobs.repository import JobRepository
 from app.jobs.schemas import CalibrationBody
@@ -14,7 +15,6 @@ from app.keys.repository import Caller
 from app.satellites.repository import SatelliteRepository
 from app.satellites.schemas import Policy
 from app.satellites.tables import Magnetometer
-from app.idempotency import fingerprint, recall, remember
 from app.sessions.reading import SensorReading, format_of
 from app.sessions.repository import Parsed, SessionRepository
 from app.sessions.schemas import UploadQuery

@@ -2,8 +2,8 @@
 
 import sqlalchemy as sa
 from alembic import op
-from app.database import JsonColumn
-from app.database import UtcDateTime
+
+from app.database import JsonColumn, UtcDateTime
 
 revision = "0001"
 down_revision = None

@@ -1,0 +1,81 @@
+"""What holds for every call: errors, health, figures, documentation, headers."""
+
+from datetime import datetime
+
+import httpx2
+import ppigrf
+import pytest
+
+
+@pytest.fixture
+def root(service):
+    with httpx2.Client(base_url=service.url, trust_env=False) as client:
+        yield client
+
+
+def test_the_service_is_alive_and_ready(root):
+    assert root.get("/healthz").json() == {"status": "ok"}
+    ready = root.get("/readyz")
+    assert (ready.status_code, set(ready.json().values())) == (200, {"ok"})
+
+
+def test_prometheus_is_told_of_requests_and_of_the_queue(root):
+    text = root.get("/metrics").text
+    for name in ("magcal_request_seconds_count", "magcal_queue_age_seconds", "magcal_store_bytes"):
+        assert name in text
+
+
+def test_the_documentation_comes_from_this_machine_alone(root):
+    page = root.get("/docs")
+    assert page.status_code == 200
+    assert "http://" not in page.text.replace(str(root.base_url), "")
+    assert "https://" not in page.text
+    assert root.get("/static-offline-docs/swagger-ui-bundle.js").status_code == 200
+
+
+def test_paths_and_methods_that_are_not_there_are_problems(root):
+    for answer, code in ((root.get("/api/v2/satellites"), 404), (root.delete("/api/v1/satellites"), 405)):
+        assert (answer.status_code, answer.headers["content-type"]) == (code, "application/problem+json")
+        assert answer.json()["status"] == code
+    assert root.delete("/api/v1/satellites").headers["allow"]
+
+
+def test_browsers_are_told_to_do_no_more_than_asked(root):
+    headers = root.get("/api/v1/satellites").headers
+    assert headers["x-content-type-options"] == "nosniff"
+    assert "frame-ancestors 'none'" in headers["content-security-policy"]
+    assert headers["cache-control"] == "no-store"
+    assert "server" not in headers
+
+
+def test_a_request_keeps_the_id_that_it_came_with(root):
+    assert root.get("/healthz", headers={"x-request-id": "pass-17"}).headers["x-request-id"] == "pass-17"
+    assert (
+        root.get("/healthz", headers={"x-request-id": "bad id\u00ff".encode("latin-1")}).headers["x-request-id"]
+        != "bad"
+    )
+
+
+def test_the_field_is_computed_in_the_frame_of_the_position(api):
+    """IGRF-14 by an independent implementation (ppigrf) at 6771.2 km above the equator, 2026-01-01."""
+    body = {"time": ["2026-01-01T00:00:00Z"], "position_km": [[6771.2, 0.0, 0.0]], "frame": "ITRF", "model": "igrf-14"}
+    answer = api.post("/field", json=body)
+    assert answer.status_code == 200, answer.text
+    field = answer.json()
+    assert field["model"] == "igrf-14"
+    new_year = datetime(2026, 1, 1)  # noqa: DTZ001  ppigrf knows no zones
+    radial, south, east = ppigrf.igrf_gc(6771.2, 90.0, 0.0, new_year)
+    want = [radial.item(), east.item(), -south.item()]
+    assert field["field_nt"][0] == pytest.approx(want, abs=0.01)
+    inertial = api.post("/field", json=body | {"frame": "GCRF"}).json()
+    assert inertial["frame"] == "GCRF"
+
+
+def test_places_and_times_outside_the_model_are_refused(api):
+    body = {"time": ["1700-01-01T00:00:00Z"], "position_km": [[6771.2, 0, 0]], "frame": "ITRF", "model": "igrf"}
+    refused = api.post("/field", json=body)
+    assert (refused.status_code, refused.json()["code"]) == (422, "model_range")
+    lengths = api.post("/field", json=body | {"position_km": []})
+    assert lengths.status_code == 422
+    naive = api.post("/field", json=body | {"time": ["2026-01-01T00:00:00"]})
+    assert naive.json()["code"] == "time_zone_missing"
