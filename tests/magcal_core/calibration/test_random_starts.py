@@ -20,7 +20,7 @@ COLUMNS = {
 
 @pytest.mark.real_data
 def test_a_hundred_random_starts_end_at_the_optimum_of_real_telemetry(bro4_dir: Path) -> None:
-    """Offsets within 60 uT, scale factors 0.3 to 3, angles within 50 deg; 0.01 nT is 1e-4 of the sigma of the biases."""
+    """Offsets within 60 uT, scale factors 0.3 to 3, angles within 50 deg; 0.01 nT is 1e-4 of the errors."""
     samples = mc.read_samples(bro4_dir / "external.csv", columns=COLUMNS, unit="mG")
     observations = Observations.of(with_reference(samples, [], mc.Igrf())[0])
     plain = ESTIMATORS["scalar"].fit(observations, FitSettings())
