@@ -112,7 +112,7 @@ async function draw() {
     h("div", { class: "heading" }, h("h1", {}, `Parameter set ${short(id)}`, " ", h("span", { class: `badge status-${record.status}` }, record.status)),
       h("p", { class: "muted" }, h("a", { href: `/satellites/${record.satellite}` }, record.satellite), ` · ${record.magnetometer} · ${record.method} · ${time(record.data_from)} to ${time(record.data_until)} UTC`), buttons(record)),
     verdict(record),
-    tiles(["residual RMS", `${nt(statistics.before.rms_nt, 0)} → ${nt(statistics.after.rms_nt)}`, "before → after"],
+    tiles(["residual RMS", `${fixed(statistics.before.rms_nt, 0)} → ${nt(statistics.after.rms_nt)}`, "before → after"],
       ["cross-validated", nt(statistics.cross_validated_rms_nt), "six blocks of time, each left out in turn"],
       ["samples", fixed(statistics.samples, 0), `${fixed(statistics.rejected, 0)} left out`],
       ["observability index", fixed(observability.index, 1), "over 10 is good, under 3 is not observable"],
