@@ -1,0 +1,108 @@
+"""Several sessions and several sensors, from telemetry to result: joint fits, monitoring, comparisons."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from magcal_core.calibration.fit import Observations, corrected_nt
+from magcal_core.calibration.joint import DEFAULT_SHARED, JointFit, joint_fit
+from magcal_core.calibration.magnetometers import Comparison, CorrectedReadings, compare_magnetometers
+from magcal_core.calibration.monitoring import ActiveSet, SessionJudgement, judge_session
+from magcal_core.calibration.result import Parameters
+from magcal_core.errors import OptionError
+from magcal_core.field.models import field_model
+from magcal_core.options import CalibrationOptions
+from magcal_core.orbit import Orbit
+from magcal_core.reference import with_reference
+from magcal_core.referenced import Referenced, in_time_order
+from magcal_core.samples import Samples
+
+
+def calibrate_jointly(
+    sessions: Mapping[str, Samples],
+    orbits: Sequence[Orbit] = (),
+    options: CalibrationOptions | None = None,
+    *,
+    shared: Sequence[str] = DEFAULT_SHARED,
+) -> JointFit:
+    """Return the joint calibration of several sessions of one magnetometer, by the names given.
+
+    Of the options, ``method`` (scalar or vector), field, orbit, regressors by name and ``robust`` are used.
+
+    Raises
+    ------
+    InputError, EstimationError
+        As `calibrate` and `joint_fit` raise them.
+    """
+    chosen = CalibrationOptions() if options is None else options
+    if isinstance(chosen.regressors, str):
+        raise OptionError("regressors: a joint calibration takes them by name")
+    is_vector = chosen.method.startswith("vector")
+    observed = []
+    for samples in sessions.values():
+        referenced = Referenced.of(samples, orbits, chosen)
+        usable = referenced.usable(chosen.regressors, is_vector)
+        observed.append(referenced.observations(usable, chosen.regressors))
+    return joint_fit(observed, list(sessions), shared=shared, is_vector=is_vector, robust=chosen.robust)
+
+
+def monitor(
+    samples: Samples, orbits: Sequence[Orbit], record: Mapping[str, object], *, max_orbit_age_days: float = 14.0
+) -> SessionJudgement:
+    """Return what a new session says of the active parameter set, whose ``record`` is given; nothing is refitted.
+
+    The field model and the clock's offset are those of the record.
+
+    Raises
+    ------
+    InputError
+        The record is no parameter set, or the samples have no reference.
+    """
+    active = ActiveSet.from_record(record)
+    name = str(record.get("field_model", "igrf"))
+    offset_s = active.parameters.time_offset_s or 0.0
+    filled, _ = with_reference(
+        in_time_order(samples), orbits, field_model(name), time_offset_s=offset_s, max_orbit_age_days=max_orbit_age_days
+    )
+    usable = filled.is_used & np.isfinite(_reference_of(filled, is_vector=active.is_vector))
+    for column in active.parameters.regressors:
+        if column in filled.housekeeping:
+            usable &= np.isfinite(filled.housekeeping[column])
+    observations = Observations.of(filled, list(active.parameters.regressors), usable.astype(np.float64))
+    return judge_session(observations, active)
+
+
+def _reference_of(samples: Samples, *, is_vector: bool) -> np.typing.NDArray[np.float64]:
+    """Return a figure of each sample's reference that is finite where the method can use it, shape (n,)."""
+    if is_vector and samples.b_ref_base_nt is not None:
+        return np.asarray(samples.b_ref_base_nt.sum(axis=1))
+    return np.ones(len(samples)) if samples.b_ref_magnitude_nt is None else samples.b_ref_magnitude_nt
+
+
+def compare_sensors(
+    first: tuple[Samples, Parameters], second: tuple[Samples, Parameters], *, distance_m: float | None = None
+) -> Comparison:
+    """Return how two magnetometers of one satellite differ once each is corrected with its own parameters.
+
+    Raises
+    ------
+    TooFewSamplesError
+        Too few readings at common times.
+    OptionError
+        A regressor of the parameters is no column of its samples.
+    """
+    return compare_magnetometers(_corrected(*first), _corrected(*second), distance_m=distance_m)
+
+
+def _corrected(samples: Samples, parameters: Parameters) -> CorrectedReadings:
+    ordered = in_time_order(samples)
+    used = ordered.take(ordered.is_used)
+    missing = [name for name in parameters.regressors if name not in used.housekeeping]
+    if missing:
+        raise OptionError(f"no housekeeping column {missing[0]!r}, which the parameters need")
+    n = len(used)
+    columns = {name: np.asarray(used.housekeeping[name], np.float64) for name in parameters.regressors}
+    plain = Observations(np.zeros(n), used.h_nt, np.ones(n), None, np.ones(n), columns)
+    return CorrectedReadings(used.t_utc, corrected_nt(plain, parameters))
