@@ -12,6 +12,8 @@ from pydantic import JsonValue
 
 MAX_JSON_BYTES: Final = 4 << 20
 MAX_DEPTH: Final = 32
+MAX_MEMBERS: Final = 1000
+"""Members of one object; lists may be longer."""
 
 
 class JsonError(HTTPException):
@@ -74,7 +76,8 @@ def parse_json(content: bytes) -> JsonValue:
     Raises
     ------
     JsonError
-        It is not JSON, is nested deeper than `MAX_DEPTH`, has a key twice, or a number that is not finite.
+        It is not JSON, is nested deeper than `MAX_DEPTH`, has an object of more than `MAX_MEMBERS` members or with a
+        key twice, or a number that is not finite.
     """
     try:
         document: JsonValue = json.loads(
@@ -98,6 +101,8 @@ class _NotStrictError(ValueError):
 
 
 def _object(pairs: list[tuple[str, JsonValue]]) -> dict[str, JsonValue]:
+    if len(pairs) > MAX_MEMBERS:
+        raise _NotStrictError(f"an object has more than {MAX_MEMBERS} members")
     found = dict(pairs)
     if len(found) != len(pairs):
         raise _NotStrictError("a key stands twice in one object")

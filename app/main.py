@@ -23,10 +23,12 @@ from app.idempotency import Running
 from app.jobs import endpoints as jobs
 from app.jobs.engine import Engine, open_engine
 from app.keys import endpoints as keys
+from app.limits import RequestLimits
 from app.logs import RequestLog
 from app.methods import Methods
 from app.orbits import endpoints as orbits
 from app.parameter_sets import endpoints as parameter_sets
+from app.parameter_sets import pointing
 from app.satellites import endpoints as satellites
 from app.security import SecurityHeaders
 from app.sessions import endpoints as sessions
@@ -35,7 +37,7 @@ from app.settings import Settings
 from app.store import open_store
 
 API: Final = "/api/v1"
-ROOMS: Final = (satellites, orbits, sessions, jobs, parameter_sets, field, keys, displays)
+ROOMS: Final = (satellites, orbits, sessions, jobs, parameter_sets, pointing, field, keys, displays)
 STOP_GRACE_S: Final = 20.0
 
 log = structlog.get_logger()
@@ -69,6 +71,7 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
     complete(app, API, rooms)
     app.state.methods = Methods([("", health.router), ("", pages.router), *((API, room) for room in rooms)])
     install_handlers(app)
+    app.add_middleware(RequestLimits)
     app.add_middleware(SecurityHeaders)
     app.add_middleware(RequestLog)
     return app

@@ -9,7 +9,8 @@ from pydantic_core import PydanticCustomError
 
 from app.schemas import Body, Record, UtcTime
 
-Position = Annotated[list[float], Field(min_length=3, max_length=3)]
+Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
+Position = Annotated[list[Coordinate], Field(min_length=3, max_length=3)]
 MOST_POINTS = 100_000
 
 

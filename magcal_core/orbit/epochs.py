@@ -17,6 +17,9 @@ TIME_SYSTEMS: Final = ("UTC", "TAI", "GPS", "TT", "TDB")
 
 _CALENDAR: Final = re.compile(r"(\d{4}-\d{2}-\d{2})[T ](\d{2}):(\d{2}):(\d{2})(?:\.(\d{1,18}))?(Z|[+-]\d{2}:?\d{2})?")
 _DAY_OF_YEAR: Final = re.compile(r"(\d{4})-(\d{3})T(\d{2}):(\d{2}):(\d{2})(?:\.(\d{1,18}))?(Z?)")
+FIRST_YEAR: Final = 1900
+LAST_YEAR: Final = 2199
+"""Years whose nanoseconds a datetime64 holds, with room for offsets."""
 _GPS_MINUS_TAI_S: Final = -19.0
 
 
@@ -42,6 +45,8 @@ def parse_epoch(text: str, *, needs_zone: bool = False) -> np.datetime64:
         raise TimeError(f"{text[:40]!r} is not an epoch such as 2022-02-19T22:37:44.130Z")
     if needs_zone and not zone:
         raise TimeZoneMissingError(f"{text!r} has no zone; append Z where it is UTC")
+    if not FIRST_YEAR <= int(day[:4]) <= LAST_YEAR:
+        raise TimeError(f"{text!r} is outside the years {FIRST_YEAR} to {LAST_YEAR}")
     hour, minute, second = (int(part) for part in clock[:3])
     if hour > 23 or minute > 59 or second > 59:
         raise TimeError(f"{text!r} is not a time of day (leap seconds cannot be epochs)")
