@@ -84,6 +84,8 @@ def session_figure(name: str, samples: Samples, theme: str) -> Figure:
 def history_figure(session: Session, caller: Caller, satellite_id: str, name: str, query: HistoryFigureQuery) -> Figure:
     """Return the figure ``name`` of a satellite's history."""
     look = figures.THEMES[query.theme]
+    if name == "sessions":
+        return figures.session_timeline(*timeline(session, caller, satellite_id, query.magnetometer), look)
     wanted = ParameterSetQuery(satellite=satellite_id, magnetometer=query.magnetometer, limit=MOST_SETS)
     rows, _ = ParameterSetRepository(session, caller).page(wanted)
     records = records_of(rows)
@@ -91,8 +93,6 @@ def history_figure(session: Session, caller: Caller, satellite_id: str, name: st
         return figures.parameter_history(records, look)
     if name == "residual":
         return figures.rms_history(records, look)
-    if name == "sessions":
-        return figures.session_timeline(*timeline(session, caller, satellite_id, query.magnetometer), look)
     return figures.tle_age_history(records, look)
 
 

@@ -29,6 +29,7 @@ from app.dashboard.state import history_rows, overview_rows, record_of
 from app.keys.repository import SYSTEM, Caller
 from app.orbits.parsing import orbit_of
 from app.orbits.repository import OrbitRepository
+from app.parameter_sets.pointing import pointing_impact
 from app.parameter_sets.repository import ParameterSetRepository
 from app.parameter_sets.residuals import from_bytes
 from app.parameter_sets.tables import ParameterSet
@@ -179,7 +180,13 @@ def get_comparison_figure(query: Annotated[CompareQuery, Query()], caller: Reade
     response_class=Response,
     responses={200: {"content": {"text/html": {}}}},
 )
-def get_report(parameter_set_id: str, caller: Reader, db: Db, store: Blobs) -> Response:
+def get_report(
+    parameter_set_id: str,
+    caller: Reader,
+    db: Db,
+    store: Blobs,
+    pointing: Annotated[bool, Query(description="With how well attitude by magnetometer would point.")] = False,
+) -> Response:
     """Give the report of a parameter set as one page that needs nothing else and prints as it stands."""
     from app.report import render_report
 
@@ -187,7 +194,8 @@ def get_report(parameter_set_id: str, caller: Reader, db: Db, store: Blobs) -> R
     record: ParameterSetRecord = record_of(row)
     with db.read() as session:
         record["session_ids"] = ParameterSetRepository(session, caller).session_ids([row])[row.id]
-    page = render_report(record, _residuals(row, db, store), made_at=_now())
+    impact = pointing_impact(parameter_set_id, caller, db) if pointing else None
+    page = render_report(record, _residuals(row, db, store), made_at=_now(), pointing=impact)
     name = f"magcal-{row.satellite_id}-{row.magnetometer_id}-{row.id}.html"
     headers = {"Content-Security-Policy": REPORT_POLICY, "Content-Disposition": f'inline; filename="{name}"'}
     return Response(page, media_type="text/html; charset=utf-8", headers=headers)

@@ -21,6 +21,8 @@ GROUPS: Final = (
     ("nonorthogonality_deg", "angle, deg", "ε"),
 )
 """Group of parameters -> its axis title and its letter."""
+MOST_BARS: Final = 200
+"""Sets up to which each has its bar and mark; more are drawn as a line in a band, which a browser draws at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +59,8 @@ def parameter_history(sets: Sequence[ParameterSetRecord], theme: Theme = LIGHT) 
                 {"text": f"<b>{letter}{i + 1}</b>{unit}", "xref": "paper", "yref": "paper", "x": left, "y": top + 0.01}
                 | {"xanchor": "left", "yanchor": "bottom", "showarrow": False}
             )
-            trace = _history_trace(ordered, group, i, theme)
-            traces.append(trace | {"x": x, "xaxis": f"x{name}", "yaxis": f"y{name}", "name": f"{letter}{i + 1}"})
+            place = {"x": x, "xaxis": f"x{name}", "yaxis": f"y{name}", "name": f"{letter}{i + 1}"}
+            traces += [trace | place for trace in _history_traces(ordered, group, i, theme)]
     return make_figure(traces, theme, layout)
 
 
@@ -225,27 +227,28 @@ def _by_grade(sets: Sequence[ParameterSetRecord], theme: Theme) -> Trace:
     }
 
 
-def _history_trace(sets: Sequence[ParameterSetRecord], group: str, i: int, theme: Theme) -> Trace:
+def _history_traces(sets: Sequence[ParameterSetRecord], group: str, i: int, theme: Theme) -> list[Trace]:
+    """Return one parameter's history: bars and a mark for each set, or a band and marks for the doubtful ones."""
     name = f"{group}[{i}]"
-    value = [parameter_values(record["parameters"])[name] for record in sets]
-    honest = [parameter_values(record["standard_errors"]).get(name) for record in sets]
-    formal = [parameter_values(record["formal_standard_errors"]).get(name) for record in sets]
-    grades = [record["verdict"]["grade"] for record in sets]
-    unknown = float("nan")
-    return {
-        "type": "scatter",
-        "mode": "lines+markers",
-        "y": value,
-        "error_y": {"type": "data", "array": honest, "thickness": 1.2, "width": 3, "color": theme.series[i]},
-        "customdata": [
-            [unknown if h is None else h, unknown if f is None else f, grade]
-            for h, f, grade in zip(honest, formal, grades, strict=True)
-        ],
-        "hovertemplate": "%{y:.6~g} ± %{customdata[0]:.3~g} (formal %{customdata[1]:.3~g}), %{customdata[2]}",
-        "line": {"color": theme.series[i], "width": 1},
-        "marker": {
-            "size": 7,
-            "color": theme.series[i],
-            "symbol": [GRADE_SYMBOLS.get(grade, "circle") for grade in grades],
-        },
-    }
+    values, honest, formal = (
+        np.array([parameter_values(record[kind]).get(name, np.nan) for record in sets])
+        for kind in ("parameters", "standard_errors", "formal_standard_errors")
+    )
+    colour = theme.series[i]
+    hover = "%{y:.6~g} ± %{customdata[0]:.3~g} (formal %{customdata[1]:.3~g})"
+    line = {"color": colour, "width": 1}
+    grades = np.array([record["verdict"]["grade"] for record in sets])
+    shown: Trace = {"customdata": np.column_stack([honest, formal]), "hovertemplate": hover, "line": line}
+    if len(sets) <= MOST_BARS:
+        bars = {"type": "data", "array": honest, "thickness": 1.2, "width": 3, "color": colour}
+        marks = {"size": 7, "color": colour, "symbol": [GRADE_SYMBOLS.get(grade, "circle") for grade in grades]}
+        return [scatter(None, values, "lines+markers", error_y=bars, marker=marks) | shown]
+    edge = {"width": 0, "color": colour}
+    doubtful = np.where(grades == "accept", np.nan, values)
+    marks = {"size": 6, "color": colour, "symbol": [GRADE_SYMBOLS.get(grade, "circle") for grade in grades]}
+    return [
+        scatter(None, values - honest, line=edge, hoverinfo="skip"),
+        scatter(None, values + honest, line=edge, hoverinfo="skip", fill="tonexty", fillcolor=f"{colour}40"),
+        scatter(None, values) | shown,
+        scatter(None, doubtful, "markers", marker=marks, hoverinfo="skip"),
+    ]

@@ -188,6 +188,14 @@ def test_history_is_in_time_order_with_honest_bars() -> None:
     assert list(first.marker.symbol) == ["diamond", "circle"]
 
 
+def test_a_long_history_is_a_band_of_one_error_and_marks_only_what_is_doubtful() -> None:
+    sets = [parameter_set(day, "weak" if day == 7 else "accept") for day in range(300)]
+    low, high, line, marks = figures.parameter_history(sets).data[:4]
+    np.testing.assert_allclose(high.y - low.y, 120.0)
+    np.testing.assert_allclose(line.y, 0.5 * (low.y + high.y))
+    assert np.flatnonzero(np.isfinite(marks.y)).tolist() == [7]
+
+
 def test_correlations_come_from_the_covariance() -> None:
     """Planted: neighbours correlate with 0.5 whatever their units."""
     z = np.asarray(figures.correlation_matrix(parameter_set(0)).data[0].z)

@@ -84,6 +84,21 @@ function comparer(record, others) {
     "Compare", async ({ second }) => { location.href = `/compare?first=${record.id}&second=${second}`; });
 }
 
+// Attitude by magnetometer, simulated where it is asked for: it takes a second or two.
+function pointing() {
+  const place = h("div");
+  const names = { ideal: "perfect magnetometer", raw: "this magnetometer, raw", calibrated: "corrected with this set", active: "corrected with the set in force" };
+  place.append(form([], "Simulate", async () => {
+    const impact = await api(`/parameter-sets/${id}/pointing`);
+    const shown = ({ max_error_deg, max_rate_error_deg_s }) => h("td", { class: "n" }, `${fixed(max_error_deg, 2)}° (${fixed(max_rate_error_deg_s, 4)}°/s)`);
+    place.replaceChildren(h("table", {},
+      h("caption", {}, `Largest error (and rate error) of the last two orbits, with magnetometer, gyros and wheels alone, in ${impact.field_model}; the worst of 16 sensors drawn from the covariance.`),
+      h("thead", {}, h("tr", {}, h("th", { scope: "col" }, "magnetometer"), impact.orbits.map((orbit) => h("th", { scope: "col", class: "n" }, `${fixed(orbit.altitude_km, 0)} km, ${fixed(orbit.inclination_deg, 1)}°`)))),
+      h("tbody", {}, Object.entries(names).filter(([key]) => impact.orbits[0][key]).map(([key, name]) => h("tr", {}, h("th", { scope: "row" }, name), impact.orbits.map((orbit) => shown(orbit[key])))))));
+  }));
+  return [h("p", { class: "muted" }, "How well attitude by magnetometer would point on this satellite's orbit."), place];
+}
+
 function provenance(record) {
   const { provenance: from } = record;
   const text = (value) => (value !== null && typeof value === "object" ? JSON.stringify(value) : String(value));
@@ -127,7 +142,7 @@ async function draw() {
         figure("map", "Over the Earth", "Residual by geocentric latitude and longitude of the satellite.", 420))),
     section("Correlation", figure("correlation", "Correlation of the parameters", "From the honest covariance.", 410)),
     record.ablation?.length ? section("Choice of the model", figure("ablation", "Models that were tried", "Taken for the cross-validated residual, never for the residual in the fit.", 260)) : null,
-    record.pointing ? section("Pointing impact", facts(Object.entries(record.pointing).map(([name, value]) => [name.replaceAll("_", " "), String(value)]))) : null,
+    section("Pointing impact", pointing()),
     candidates(record),
     section("Compare", others),
     section("Export for flight software", exporter(record)),

@@ -89,12 +89,11 @@ function addOrbit() {
   });
 }
 
-async function historyOf(magnetometer) {
+function historyOf(magnetometer, hasSets) {
   const place = h("div");
-  const { items: sets } = await api(`/satellites/${id}/history?limit=1000`);
   const query = () => `magnetometer=${encodeURIComponent(magnetometer.value)}`;
   const address = (name) => `/satellites/${id}/figures/${name}?${query()}`;
-  const figures = sets.length ? [
+  const figures = hasSets ? [
     plot(address("history"), "Bias, scale and angles over time", "Bars are one honest standard error; ● accept, ◆ weak, ✕ refuse; the line joins sets in order of their data.", 600),
     h("div", { class: "pair" },
       plot(address("residual"), "Residual over time", "Residual RMS of each set in its fit, and cross-validated.", 280),
@@ -104,10 +103,8 @@ async function historyOf(magnetometer) {
   magnetometer.addEventListener("change", () => {
     ["history", "residual", "orbit-age", "sessions"].forEach((name, i) => replot(place.querySelectorAll("figure")[i], address(name)));
   });
-  place.append(section("Parameter sets", table(SET_COLUMNS, sets, { caption: "Parameter sets", file: `${id}-parameter-sets`,
-    empty: "No parameter set yet: open a session and start a calibration." })));
   if (figures.length) place.append(section("History", ...figures));
-  return [place, sets];
+  return place;
 }
 
 start(async () => {
@@ -117,14 +114,14 @@ start(async () => {
   const magnetometer = h("select", { "aria-label": "Magnetometer of the history" }, names.map((name) => option(name)));
   const sessionsPlace = section("Sessions", h("p", { class: "muted" }, "Loading …"));
   const orbitsPlace = section("Orbits", h("p", { class: "muted" }, "Loading …"));
-  const setsPlace = h("div");
+  const setsPlace = section("Parameter sets", h("p", { class: "muted" }, "Loading …"));
   show(h("div", { class: "heading" }, h("h1", {}, satellite.name ?? satellite.id), h("p", { class: "muted" },
     [satellite.id, satellite.norad_id && `NORAD ${satellite.norad_id}`, satellite.cospar_id].filter(Boolean).join(" · "))),
     states.filter((row) => row.magnetometer).map(statusOf),
     !names.length ? h("div", { class: "empty" }, h("h2", {}, "Next step: add its magnetometer"), may("operate") ? addMagnetometer() : null) : null,
     names.length && may("ingest") ? section("Upload telemetry", uploader(id, satellite.magnetometers)) : null,
     names.length > 1 ? h("p", {}, "History of ", magnetometer) : null,
-    setsPlace, sessionsPlace, orbitsPlace,
+    setsPlace, historyOf(magnetometer, states.some((row) => row.newest)), sessionsPlace, orbitsPlace,
     may("operate") && names.length ? h("details", {}, h("summary", {}, "Add a magnetometer"), addMagnetometer()) : null);
 
   async function orbits() {
@@ -134,7 +131,8 @@ start(async () => {
       may("ingest", "operate") ? h("details", { open: !rows.length }, h("summary", {}, "Add an orbit"), addOrbit()) : "");
   }
   document.addEventListener("orbits", orbits);
-  const [[place, sets], sessions] = await Promise.all([historyOf(magnetometer), listed(`/sessions?satellite=${id}`, 1000), orbits()]);
+  const [sets, sessions] = await Promise.all([
+    listed(`/satellites/${id}/history`, 1000), listed(`/sessions?satellite=${id}`, 1000), orbits()]);
   for (const session of sessions) {
     const newest = sets.find((row) => row.session_ids.includes(session.id));
     session.grade = newest?.grade;
@@ -142,5 +140,6 @@ start(async () => {
   }
   sessionsPlace.replaceChildren(sessionsPlace.firstChild, table(SESSION_COLUMNS, sessions, { caption: "Sessions", file: `${id}-sessions`,
     empty: "No telemetry yet: drop a file above, or send it with magcal push." }));
-  setsPlace.append(place);
+  setsPlace.replaceChildren(setsPlace.firstChild, table(SET_COLUMNS, sets, { caption: "Parameter sets", file: `${id}-parameter-sets`,
+    empty: "No parameter set yet: open a session and start a calibration." }));
 });

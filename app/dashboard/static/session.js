@@ -1,5 +1,5 @@
 // One session: what it holds, how good it is, and a calibration of it.
-import { ago, api, facts, field, fixed, form, grade, h, listed, may, nt, option, section, short, show, start, tiles, time, title } from "./magcal.js";
+import { ago, api, facts, field, fixed, form, grade, h, listed, may, option, section, short, show, start, tiles, time, title } from "./magcal.js";
 import { follow } from "./job.js";
 import { plot } from "./plot.js";
 import { table } from "./table.js";
@@ -34,15 +34,15 @@ const flagRows = (quality) => Object.entries(quality.flags ?? {}).map(([name, co
 
 start(async () => {
   title(`Session ${short(id)}`);
-  const [session, summary] = await Promise.all([api(`/sessions/${id}`), api(`/sessions/${id}/summary`).catch(() => ({}))]);
+  const session = await api(`/sessions/${id}`);
   const { quality } = session;
+  const [measured, coverage, keeping] = [h("span", {}, "…"), h("span", {}, "…"), h("div")];
   const setsPlace = section("Parameter sets from this session", h("p", { class: "muted" }, "Loading …"));
   show(
     h("div", { class: "heading" }, h("h1", {}, `Session ${short(id)}`), h("p", { class: "muted" },
       h("a", { href: `/satellites/${session.satellite}` }, session.satellite), ` · ${session.magnetometer} · ${time(session.data_from)} to ${time(session.data_until)} UTC`)),
     tiles(["samples", fixed(session.samples, 0), `${fixed(session.used_samples, 0)} usable`],
-      ["|B| measured", summary.b_min_nt === undefined ? "–" : `${fixed(summary.b_min_nt, 0)} … ${fixed(summary.b_max_nt, 0)} nT`, summary.b_median_nt ? `median ${nt(summary.b_median_nt, 0)}` : null],
-      ["coverage of the body sphere", summary.sphere_coverage === undefined ? "–" : `${fixed(100 * summary.sphere_coverage, 0)} %`, "by raw direction"],
+      ["|B| measured, nT", measured], ["coverage of the body sphere", coverage, "by raw direction"],
       ["step", quality.step_s ? `${fixed(quality.step_s, 2)} s` : "–", quality.span_s ? `${fixed(quality.span_s / 3600, 2)} h` : null],
       ["gaps", quality.gaps === undefined ? "–" : String(quality.gaps), quality.longest_gap_s ? `longest ${fixed(quality.longest_gap_s, 0)} s` : null]),
     session.state === "open" ? h("p", { class: "notice weak" }, "This session is open: further chunks may arrive.") : null,
@@ -50,12 +50,18 @@ start(async () => {
     setsPlace,
     section("Readings", plot(`/sessions/${id}/figures/raw`, "|B| as measured and its components", "Crosses are samples with a flag.", 360)),
     section("Coverage", plot(`/sessions/${id}/figures/coverage`, "Where on the body sphere the field was seen", "Two hemispheres of the sensor's axes, equal area; large blank regions leave parameters undetermined.", 400)),
-    summary.housekeeping?.length ? section("Housekeeping", plot(`/sessions/${id}/figures/housekeeping`, "Housekeeping columns", "Each may be a regressor of the bias.", 80 + 130 * summary.housekeeping.length)) : null,
+    keeping,
     section("Quality", facts([...flagRows(quality), ["rows without a time", quality.rows_without_time], ["rows out of order", quality.rows_out_of_order],
       ["columns ignored", quality.columns_ignored?.join(", ") || null], ["columns", session.columns.join(", ")]])),
     section("Bytes", facts([["SHA-256", session.sha256 ? h("code", {}, session.sha256) : null], ["size", `${fixed(session.size_bytes, 0)} bytes`],
       ["received", `${time(session.created_at)} (${ago(session.created_at)})`], ["chunks", String(session.chunks.length)],
       ["download", ["csv", "ndjson", "json", "parquet"].map((form) => [h("a", { href: `/api/v1/sessions/${id}/samples?format=${form}`, download: true }, form), " "])]])));
+  api(`/sessions/${id}/summary`).then((summary) => {
+    measured.textContent = summary.b_min_nt === null ? "–" : `${fixed(summary.b_min_nt, 0)} … ${fixed(summary.b_max_nt, 0)}`;
+    coverage.textContent = summary.sphere_coverage === null ? "–" : `${fixed(100 * summary.sphere_coverage, 0)} %`;
+    const count = summary.housekeeping.length;
+    if (count) keeping.append(section("Housekeeping", plot(`/sessions/${id}/figures/housekeeping`, "Housekeeping columns", "Each may be a regressor of the bias.", 80 + 130 * count)));
+  });
   const sets = await listed(`/satellites/${session.satellite}/history?session=${id}`, 200);
   setsPlace.replaceChildren(setsPlace.firstChild, table([
     { name: "parameter set", value: (r) => r.id, show: (r) => h("a", { href: `/parameter-sets/${r.id}` }, short(r.id)) },
