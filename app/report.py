@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from jinja2 import Environment
     from plotly.graph_objects import Figure
 
+    from app.pointing import ImpactRecord
+
 FIGURE_WIDTH: Final = 700
 """Width of a figure, px: what an A4 page at 96 dpi has between margins of 12 mm."""
 BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
@@ -69,7 +71,11 @@ class Plate:
 
 
 def render_report(
-    record: ParameterSetRecord, residuals: ResidualTable | None = None, *, made_at: str | None = None
+    record: ParameterSetRecord,
+    residuals: ResidualTable | None = None,
+    *,
+    made_at: str | None = None,
+    pointing: ImpactRecord | None = None,
 ) -> str:
     """Return the report of ``record`` as one HTML document that needs nothing else.
 
@@ -79,6 +85,8 @@ def render_report(
         Without it the report has no figure of residuals, and says so.
     made_at : str, optional
         When the report was made, as text; the caller reads the clock.
+    pointing : ImpactRecord, optional
+        What the parameter set buys, as `app.pointing.pointing_of` finds it; without it that section is left out.
     """
     plates = _plates(record, residuals)
     return (
@@ -94,6 +102,7 @@ def render_report(
             options=sorted(item for item in record["provenance"].get("options", {}).items() if item[0] != "method"),
             document_json=_script_json(json.dumps(record, indent=1)),
             made_at=made_at,
+            pointing=pointing,
             plotly_js=plotly_source() if plates else "",
             title=_title(record),
         )

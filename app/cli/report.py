@@ -12,6 +12,7 @@ import click
 from app.errors import NotFoundError
 
 if TYPE_CHECKING:
+    from app.pointing import ImpactRecord
     from app.records import ParameterSetRecord
     from magcal_core.calibration.result import ResidualTable
 
@@ -25,11 +26,14 @@ FILE: Final = click.Path(exists=True, dir_okay=False, path_type=Path)
 @click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), default=Path("report.html"),
               show_default=True, help="File to write; one that ends in .pdf is printed.")  # fmt: skip
 @click.option("--residuals", type=FILE, help="Residual table of RESULT.json: CSV, JSON, NDJSON or Parquet.")
+@click.option("--pointing", is_flag=True, help="Add how well attitude by magnetometer would point with it.")
 @click.option("--pdf", is_flag=True, help="Print a PDF beside the HTML, through an installed Chromium.")
 @click.option("--url", envvar="MAGCAL_URL", default="http://127.0.0.1:8000", show_default=True,
               help="The service that has the parameter set (MAGCAL_URL).")  # fmt: skip
 @click.option("--key", envvar="MAGCAL_KEY", help="A key of that service with the scope read (MAGCAL_KEY).")
-def command(source: str, output: Path, residuals: Path | None, pdf: bool, url: str, key: str | None) -> None:
+def command(
+    source: str, output: Path, residuals: Path | None, pointing: bool, pdf: bool, url: str, key: str | None
+) -> None:
     """Write the report of a parameter set: one HTML file that needs nothing else, fit for a review.
 
     RESULT.json is what `magcal calibrate --json` printed; give its residuals with --residuals, and the report has their
@@ -37,13 +41,18 @@ def command(source: str, output: Path, residuals: Path | None, pdf: bool, url: s
     """
     from app.report import print_pdf, render_report
 
+    impact = None
     if Path(source).is_file():
         record, table = _of_files(Path(source), residuals)
+        if pointing:
+            from app.pointing import pointing_of
+
+            impact = pointing_of(record)
     elif IDENTIFIER.fullmatch(source):
-        record, table = _of_service(source, url, key)
+        record, table, impact = _of_service(source, url, key, pointing)
     else:
         raise click.BadParameter(f"{source!r} is neither a file nor an id", param_hint="PARAMETER_SET|RESULT.json")
-    page = render_report(record, table, made_at=f"{datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC")
+    page = render_report(record, table, made_at=f"{datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC", pointing=impact)
     written = []
     if output.suffix.lower() != ".pdf":
         output.write_text(page, encoding="utf-8")
@@ -69,7 +78,9 @@ def _of_files(result: Path, residuals: Path | None) -> tuple[ParameterSetRecord,
     return record, read_residuals(residuals.read_bytes(), form)
 
 
-def _of_service(set_id: str, url: str, key: str | None) -> tuple[ParameterSetRecord, ResidualTable]:
+def _of_service(
+    set_id: str, url: str, key: str | None, pointing: bool
+) -> tuple[ParameterSetRecord, ResidualTable, ImpactRecord | None]:
     import httpx2
 
     from app.records import parse_parameter_set
@@ -82,9 +93,14 @@ def _of_service(set_id: str, url: str, key: str | None) -> tuple[ParameterSetRec
         with httpx2.Client(base_url=f"{url.rstrip('/')}/api/v1", headers=headers, timeout=60.0) as service:
             found = service.get(f"/parameter-sets/{set_id}")
             table = service.get(f"/parameter-sets/{set_id}/residuals", params={"format": "parquet"})
+            impact = service.get(f"/parameter-sets/{set_id}/pointing") if pointing else None
     except httpx2.TransportError as error:
         raise click.ClickException(f"the service at {url} does not answer: {error}") from error
-    for answer in (found, table):
-        if answer.is_error:
+    for answer in (found, table, impact):
+        if answer is not None and answer.is_error:
             raise NotFoundError(f"the service at {url} answered {answer.status_code} for parameter set {set_id}")
-    return parse_parameter_set(found.content), read_residuals(table.content, "parquet")
+    return (
+        parse_parameter_set(found.content),
+        read_residuals(table.content, "parquet"),
+        None if impact is None else impact.json(),
+    )

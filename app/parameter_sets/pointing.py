@@ -1,0 +1,127 @@
+"""HTTP of what a parameter set buys: attitude by magnetometer, simulated on demand."""
+
+from __future__ import annotations
+
+import json
+import threading
+from functools import lru_cache
+from typing import TYPE_CHECKING, Annotated, Final, cast
+
+from fastapi import APIRouter, Query
+from pydantic import Field
+from sqlalchemy.orm import Session
+
+from app.auth import Reader
+from app.body import StrictJsonRoute
+from app.errors import BusyError
+from app.keys.repository import Caller
+from app.orbits.choice import chosen
+from app.orbits.repository import OrbitRepository
+from app.orbits.shape import OrbitShape, shape_of
+from app.parameter_sets.repository import ParameterSetRepository
+from app.parameter_sets.schemas import ParameterSetQuery
+from app.parameter_sets.tables import ParameterSet
+from app.pointing import ImpactRecord, circle, pointing_of
+from app.records import parameter_set_record
+from app.resources import Db
+from app.schemas import Filter, Record
+
+if TYPE_CHECKING:
+    from magcal_core.attitude.circular import CircularOrbit
+
+router = APIRouter(route_class=StrictJsonRoute, prefix="/parameter-sets", tags=["parameter sets"])
+
+AT_ONCE: Final = 2
+WAIT_S: Final = 20.0
+_places: Final = threading.BoundedSemaphore(AT_ONCE)
+
+
+class PointingQuery(Filter):
+    """The circular orbit on which the satellite points."""
+
+    altitude_km: float | None = Field(None, ge=100, le=100_000, description="Unset: the satellite's own.")
+    inclination_deg: float | None = Field(None, ge=0, le=180, description="Unset: the satellite's own.")
+
+
+class PointingRead(Record):
+    """Largest errors of the last two of seven orbits."""
+
+    max_error_deg: float
+    max_rate_error_deg_s: float
+
+
+class OrbitPointingRead(Record):
+    """Pointing on one orbit; `active` is that of the set in force, null where it is this one or there is none."""
+
+    altitude_km: float
+    inclination_deg: float
+    ideal: PointingRead
+    raw: PointingRead
+    calibrated: PointingRead
+    active: PointingRead | None
+
+
+class ImpactRead(Record):
+    """What a parameter set buys; the real sensor is drawn from its covariance, and the worst draw counts."""
+
+    parameter_set_id: str
+    active_id: str | None
+    orbits: list[OrbitPointingRead]
+    field_model: str
+    kp_nm: float
+    kd_nms: float
+    duration_s: float
+
+
+@router.get("/{parameter_set_id}/pointing")
+def get_pointing(parameter_set_id: str, query: Annotated[PointingQuery, Query()], caller: Reader, db: Db) -> ImpactRead:
+    """Simulate how well attitude by magnetometer points raw, with this parameter set, and with the one in force."""
+    with db.read() as session:
+        sets = ParameterSetRepository(session, caller)
+        row = sets.get(parameter_set_id)
+        active = _active(sets, row)
+        shape = _shape(session, caller, row)
+    in_force = None if active is None else json.dumps(active.record)
+    impact = json.loads(_impact(json.dumps(row.record), in_force, _orbits(query, shape)))
+    ids = {"parameter_set_id": row.id, "active_id": None if active is None else active.id}
+    return ImpactRead.model_validate(ids | impact)
+
+
+def pointing_impact(parameter_set_id: str, caller: Caller, db: Db) -> ImpactRecord:
+    """Return what a parameter set buys on its satellite's own orbit, as reports take it."""
+    return cast("ImpactRecord", get_pointing(parameter_set_id, PointingQuery(), caller, db).model_dump())
+
+
+@lru_cache(maxsize=64)
+def _impact(record: str, active: str | None, orbits: tuple[CircularOrbit, ...]) -> str:
+    """Return the pointing as JSON; the same question is answered from memory."""
+    if not _places.acquire(timeout=WAIT_S):
+        raise BusyError("as many pointing simulations run as may run at once; try again")
+    try:
+        calibrated = parameter_set_record({"status": "candidate"} | json.loads(record))
+        other = None if active is None else json.loads(active)["parameters"]
+        return json.dumps(pointing_of(calibrated, other, orbits))
+    finally:
+        _places.release()
+
+
+def _active(sets: ParameterSetRepository, row: ParameterSet) -> ParameterSet | None:
+    wanted = ParameterSetQuery(satellite=row.satellite_id, magnetometer=row.magnetometer_id, status="active", limit=1)
+    rows, _ = sets.page(wanted)
+    return rows[0] if rows and rows[0].id != row.id else None
+
+
+def _shape(session: Session, caller: Caller, row: ParameterSet) -> OrbitShape | None:
+    orbits = OrbitRepository(session, caller, row.satellite_id)
+    near = chosen(orbits.around(row.data_from, row.data_until, 0.0), row.data_from)
+    return None if near is None else shape_of(near.content)
+
+
+def _orbits(query: PointingQuery, shape: OrbitShape | None) -> tuple[CircularOrbit, ...]:
+    """Return the orbit that was asked for, else the satellite's own, else none: those of `pointing_of` then."""
+    if shape is None and query.altitude_km is None and query.inclination_deg is None:
+        return ()
+    own = OrbitShape(500.0, 62.0) if shape is None else shape
+    altitude_km = own.altitude_km if query.altitude_km is None else query.altitude_km
+    inclination_deg = own.inclination_deg if query.inclination_deg is None else query.inclination_deg
+    return (circle(altitude_km, inclination_deg),)
