@@ -18,6 +18,9 @@ _SIGNS: Final = tuple(itertools.product((1, -1), repeat=3))
 _TIE: Final = 1.05
 """Candidates this close to the best are taken for equal: then the one with the fewest changes is named."""
 
+_RIGHT_SHARE: Final = 0.03
+"""Share of the field that a wrong axis leaves at the least: below it nothing needs to be tried."""
+
 
 @dataclass(frozen=True, slots=True)
 class AxisCandidate:
@@ -83,6 +86,9 @@ def best_axes(h_nt: Floats, b_base_nt: Floats) -> AxisCandidate:
     h_nt, b_base_nt = trimmed(h_nt, b_base_nt)
     floor = residual_floor_nt(b_base_nt)
     moments = centred_moments(h_nt, b_base_nt)
+    sent = _as_sent_nt(moments, floor)
+    if sent <= _RIGHT_SHARE * float(np.mean(np.linalg.norm(b_base_nt, axis=1))):
+        return AxisCandidate("as sent", "the axes are as they were sent", False, sent, sent)
     scored = [(float(np.hypot(left, floor)), one, is_sensor) for left, one, is_sensor in _scored(moments)]
     before = scored[0][0]
     best = min(scored, key=lambda row: row[0])[0]
@@ -94,6 +100,13 @@ def best_axes(h_nt: Floats, b_base_nt: Floats) -> AxisCandidate:
     local = " (NED and ENU exchanged)" if is_enu else ""
     says = f"{what} x, y, z seem to be ({named.text}) of what was sent{local}"
     return AxisCandidate(f"{what} ({named.text})", says, named.is_left_handed, before, after)
+
+
+def _as_sent_nt(moments: tuple[Floats, Floats, Floats], floor: float) -> float:
+    """Return what the sensor model leaves of the axes as they were sent, root mean square of a component, nT."""
+    hh, bh, bb = moments
+    left = [_row(bb, bh, hh, list(range(axis + 1)))[axis, 0] for axis in range(3)]
+    return float(np.hypot(np.sqrt(np.sum(left) / 3.0), floor))
 
 
 def _scored(moments: tuple[Floats, Floats, Floats]) -> Iterator[tuple[float, _Signed, bool]]:
