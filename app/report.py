@@ -9,7 +9,6 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -17,6 +16,7 @@ import numpy as np
 
 from app import figures
 from app.figures.extras import ablation_rows
+from app.figures.page import plotly_source, script_json
 from app.records import ParameterSetRecord, ParametersRecord, parameter_values
 from magcal_core.calibration.result import ResidualTable
 from magcal_core.errors import MagcalError
@@ -100,7 +100,7 @@ def render_report(
             ablation=ablation_rows(record),
             command=command_line(record),
             options=sorted(item for item in record["provenance"].get("options", {}).items() if item[0] != "method"),
-            document_json=_script_json(json.dumps(record, indent=1)),
+            document_json=script_json(json.dumps(record, indent=1)),
             made_at=made_at,
             pointing=pointing,
             plotly_js=plotly_source() if plates else "",
@@ -133,12 +133,6 @@ def command_line(record: ParameterSetRecord) -> str:
     needs_orbit = record["orbit_model"] in {"sgp4", "numerical"}
     given = [f"--{name} {value}" for name, value in flags.items() if value not in (None, "")]
     return " ".join(["magcal calibrate TELEMETRY", *(["--tle TLE"] if needs_orbit else []), *given, "--json"])
-
-
-@cache
-def plotly_source() -> str:
-    """Return the plot library as its package ships it."""
-    return (resources.files("plotly") / "package_data" / "plotly.min.js").read_text(encoding="utf-8")
 
 
 def print_pdf(html: str, target: Path) -> None:
@@ -270,12 +264,7 @@ def _residual_plates(residuals: ResidualTable) -> list[tuple[str, str, str, Figu
 
 def _sized_json(figure: Figure) -> str:
     figure.update_layout(width=FIGURE_WIDTH)
-    return _script_json(str(figure.to_json()))
-
-
-def _script_json(text: str) -> str:
-    """Return JSON that is safe inside a script element."""
-    return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+    return script_json(str(figure.to_json()))
 
 
 @cache
