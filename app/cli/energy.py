@@ -47,12 +47,14 @@ FORMS = ("corrected", "printed", "static-tide", "no-correction", "frame-rate", "
 @click.option("--drag-area-over-mass-m2-kg", type=float, default=0.0, help="Cd A / m.")
 @click.option("--drag-scale-height-km", type=float, default=65.0, show_default=True)
 @click.option("--series", type=OUTPUT_FILE, help="Write every term to this CSV file.")
+@click.option("--plot", type=OUTPUT_FILE, help="Draw every term, and the errors of --recover, on an HTML page.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(
     state: Path | None,
     oem: Path | None,
     tle: Path | None,
     series: Path | None,
+    plot: Path | None,
     as_json: bool,
     **spec: float | bool | str | None,
 ) -> None:
@@ -77,6 +79,8 @@ def command(
     balance = energy_balance(orbit, options)
     if series is not None:
         _write_series(balance, series)
+    if plot is not None:
+        _draw(balance, plot)
     if as_json:
         click.echo(json.dumps(balance.to_dict()))
     else:
@@ -112,6 +116,24 @@ def _write_series(balance: EnergyBalance, path: Path) -> None:
         writer.writerow(["time", *(f"{name}_m2_s2" for name in columns)])
         for k, time in enumerate(times):
             writer.writerow([time, *(f"{series[k]:.17g}" for series in columns.values())])
+
+
+def _draw(balance: EnergyBalance, path: Path) -> None:
+    """Draw H and every term that acts, and what was recovered, on an HTML page."""
+    import numpy as np
+
+    from app.figures import coefficient_errors, energy_terms
+    from app.figures.page import figure_page
+
+    acting = {name: series for name, series in balance.columns().items() if np.ptp(series) > 0.0}
+    figures = {"Terms less their means, m²/s²": energy_terms(balance.t_utc, acting)}
+    recovery = balance.recovery
+    if recovery is not None:
+        degrees = np.arange(2, recovery.degree + 1, dtype=np.float64)
+        errors = {f"error, {recovery.method}": recovery.error_by_degree}
+        figures["Recovered coefficients"] = coefficient_errors(degrees, recovery.signal_by_degree, errors)
+    title = f"Energy balance, {balance.orbit_model}, form {balance.options.form}"
+    path.write_text(figure_page(title, figures), encoding="utf-8")
 
 
 def _print_table(balance: EnergyBalance) -> None:

@@ -120,7 +120,17 @@ def _sensor_options(function: F) -> F:
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @click.option("--series", type=click.Path(dir_okay=False, path_type=Path), help="Write the series to this CSV file.")
 @click.option("--series-step-s", type=float, default=10.0, show_default=True, help="Step of the series.")
-def command(as_json: bool, series: Path | None, series_step_s: float, **spec: object) -> None:
+@click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Draw the error on an HTML page.")
+@click.option("--sweep-eps-arcmin", "sweep", type=NUMBERS, metavar="A,B,...",
+              help="With --plot: also the steady error at these non-orthogonalities, arcmin.")  # fmt: skip
+def command(
+    as_json: bool,
+    series: Path | None,
+    series_step_s: float,
+    plot: Path | None,
+    sweep: tuple[float, ...] | None,
+    **spec: object,
+) -> None:
     """Simulate attitude restoration (or, with --turn, a programmed turn) by magnetometer, gyros and wheels.
 
     Angles in deg: psi about Y (up), theta about Z, gamma about X, from the orbital axes to the body's.
@@ -136,7 +146,11 @@ def command(as_json: bool, series: Path | None, series_step_s: float, **spec: ob
         options = RomOptions.from_dict(spec)
     except OptionError as error:
         raise click.UsageError("\n".join(str(fault) for fault in error.faults) or error.message) from error
+    if sweep is not None and plot is None:
+        raise click.UsageError("--sweep-eps-arcmin is drawn by --plot")
     result = simulate_rom(options.scenario())
+    if plot is not None:
+        _draw(options, result, plot, sweep or ())
     if series is not None:
         _write_series(result, series, max(1, round(series_step_s / options.dt_s)))
     if as_json:
@@ -163,12 +177,36 @@ def _write_series(result: RomResult, path: Path, every: int) -> None:
             writer.writerow([f"{result.t_s[k]:g}", *(f"{value:.9g}" for value in row)])
 
 
+def _draw(options: RomOptions, result: RomResult, path: Path, sweep: tuple[float, ...]) -> None:
+    """Draw the error of this run, of the raw magnetometer where this one is corrected, and the sweep."""
+    from dataclasses import replace
+
+    from app.figures import error_against_angle, settling
+    from app.figures.page import figure_page
+    from magcal_core.attitude.rom import simulate_rom
+    from magcal_core.attitude.sweep import sweep_nonorthogonality
+
+    errors = {"this run": result.error_deg}
+    if options.corrected_with is not None:
+        errors["raw"] = simulate_rom(replace(options, corrected_with=None).scenario()).error_deg
+    figures = {"Attitude error": settling(result.t_s, errors)}
+    if sweep:
+        found = sweep_nonorthogonality(options.scenario(), sweep)
+        curves = {"equal signs": found.equal_arcmin, "worst signs": found.worst_arcmin}
+        figures["Error against non-orthogonality"] = error_against_angle(found.angle_arcmin, curves)
+    path.write_text(figure_page(_title(options), figures), encoding="utf-8")
+
+
+def _title(options: RomOptions) -> str:
+    return f"ROM, {options.altitude_km:g} km, {options.inclination_deg:g} deg, {options.field}"
+
+
 def _print_table(options: RomOptions, result: RomResult) -> None:
     """Print the summary for people."""
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=f"ROM, {options.altitude_km:g} km, {options.inclination_deg:g} deg, {options.field}")
+    table = Table(title=_title(options))
     table.add_column("figure")
     table.add_column("value", justify="right")
     for level in (10, 5, 1):

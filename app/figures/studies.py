@@ -30,7 +30,7 @@ def settling(time_s: Floats, error_deg: Mapping[str, Floats], theme: Theme = LIG
     layout: Layout = {
         "shapes": levels,
         "xaxis": axis(theme, "time, h", rangemode="tozero"),
-        "yaxis": axis(theme, "attitude error, deg", type="log", dtick=1),
+        "yaxis": axis(theme, "attitude error, deg", type="log", dtick=1, exponentformat="power"),
     }
     return make_figure(traces, theme, layout)
 

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -162,3 +163,16 @@ def test_a_state_that_is_none_ends_with_1_and_a_line(tmp_path: Path, capsys: pyt
 
 def test_every_form_of_the_core_is_offered() -> None:
     assert set(OFFERED) == set(FORMS)
+
+
+def test_the_plot_has_every_term_that_acts_and_the_recovery(state_file: Path, tmp_path: Path) -> None:
+    page = tmp_path / "energy.html"
+    arguments = ["--state", str(state_file), "--duration", "43200", "--step", "30", "--recover", "4", "--degree", "4"]
+    done = CliRunner().invoke(magcal, ["energy", *arguments, "--plot", str(page)])
+    assert done.exit_code == 0, done.output
+    found = [json.loads(text) for text in re.findall(r'class="figure">(.*?)</script>', page.read_text(), re.DOTALL)]
+    names = [[trace["name"] for trace in figure["data"]] for figure in found]
+    assert {"hamiltonian", "kinetic", "sun", "moon", "tidal_work"} <= set(names[0])
+    assert "dissipation" not in names[0]
+    assert names[1] == ["signal", "error, least-squares"]
+    assert found[1]["data"][0]["x"] is not None

@@ -1,10 +1,13 @@
 import csv
 import json
+import re
 
 import pytest
 from click.testing import CliRunner
 
 from app.cli.main import magcal
+from magcal_core.attitude.options import RomOptions
+from magcal_core.attitude.sweep import sweep_nonorthogonality
 
 KEYS = {
     "settling_s",
@@ -97,3 +100,35 @@ def test_help_explains_the_angles():
     done = rom("--help")
     assert done.exit_code == 0
     assert "psi about Y" in done.stdout
+
+
+def test_the_plot_is_one_page_with_every_run_and_the_sweep(tmp_path):
+    """Error per arcmin of non-orthogonality is 2.3' for equal signs, 3.0' for the worst (ROM, figure 4); 5 %."""
+    for name in ("sensor", "set"):
+        (tmp_path / f"{name}.json").write_text(json.dumps(TABLE_1))
+    page = tmp_path / "rom.html"
+    done = rom(
+        "--start", "10,10,10", "--duration-s", "40000", "--dt", "2", "--sensor", str(tmp_path / "sensor.json"),
+        "--corrected-with", str(tmp_path / "set.json"), "--plot", str(page), "--sweep-eps-arcmin", "0,10",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    found = [json.loads(text) for text in re.findall(r'class="figure">(.*?)</script>', page.read_text(), re.DOTALL)]
+    assert [trace["name"] for figure in found for trace in figure["data"]] == [
+        "this run",
+        "raw",
+        "equal signs",
+        "worst signs",
+    ]
+    assert "src=" not in page.read_text().split("<script>", 1)[0]
+
+
+def test_the_sweep_gives_the_published_slopes():
+    """2.3' per arcmin for equal signs, 3.0' for the worst: 22.8' and 30.4' at 10' (ROM, figure 4); 5 %."""
+    scenario = RomOptions.from_dict({"start": [10, 10, 10], "duration_s": 40_000, "dt_s": 2.0}).scenario()
+    found = sweep_nonorthogonality(scenario, [0.0, 10.0])
+    assert found.equal_arcmin == pytest.approx([0.0, 22.8], rel=0.05, abs=0.01)
+    assert found.worst_arcmin == pytest.approx([0.0, 30.4], rel=0.05, abs=0.01)
+
+
+def test_a_sweep_needs_a_plot():
+    assert rom("--sweep-eps-arcmin", "1,2").exit_code == 2
