@@ -32,9 +32,10 @@ def in_time_order(samples: Samples) -> Samples:
     TooManyBadSamplesError
         More than `MAX_BAD_FRACTION` of the readings are not finite and no reader has flagged them.
     """
-    h = samples.h_nt
-    order = np.lexsort((h[:, 2], h[:, 1], h[:, 0], samples.t_utc))
-    ordered = samples if np.array_equal(order, np.arange(len(order))) else samples.take(order)
+    h, t_utc = samples.h_nt, samples.t_utc
+    ordered = samples
+    if not np.all(t_utc[1:] > t_utc[:-1]):
+        ordered = samples.take(np.lexsort((h[:, 2], h[:, 1], h[:, 0], t_utc)))
     is_bad = ~np.isfinite(ordered.h_nt).all(axis=1) | np.isnat(ordered.t_utc)
     is_new = is_bad & ordered.is_used
     if np.count_nonzero(is_new) > MAX_BAD_FRACTION * len(samples):

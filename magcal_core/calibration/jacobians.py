@@ -13,7 +13,8 @@ from magcal_core.sensor import inverse_lower, matrix_of_parameters, parameters_o
 
 Floats = NDArray[np.float64]
 
-_LOWER = tuple(zip(*np.tril_indices(3), strict=True))
+_LOWER_AT = np.tril_indices(3)
+_LOWER = tuple(zip(*_LOWER_AT, strict=True))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,7 +99,7 @@ def rows_from_theta(theta: Floats, k: int) -> tuple[Floats, Floats, Floats]:
 def lower_of_theta(theta: Floats) -> Floats:
     """Return L = T^-1, shape (3, 3), from the scalar fit's unknowns."""
     lower = np.zeros((3, 3))
-    lower[np.tril_indices(3)] = theta[:6]
+    lower[_LOWER_AT] = theta[:6]
     return lower
 
 
@@ -109,7 +110,7 @@ def theta_jacobian(theta: Floats, k: int) -> Floats:
     jacobian = np.zeros((9 + 3 * k, 9 + 3 * k))
     for column, (i, j) in enumerate(_LOWER):
         change = -np.outer(matrix[:, i], matrix[j])
-        jacobian[0:6, column] = change[np.tril_indices(3)]
+        jacobian[0:6, column] = change[_LOWER_AT]
         jacobian[6:, column] = (offsets @ change.T).ravel()
     for block in range(k + 1):
         at = slice(6 + 3 * block, 9 + 3 * block)
@@ -123,4 +124,4 @@ def theta_of_parameters(parameters: Parameters, z: Standardised) -> Floats:
     slopes = [np.asarray(parameters.regressors.get(name, np.zeros(3))) for name in z.names]
     bias = parameters.bias_nt + sum((m * s for m, s in zip(z.mean, slopes, strict=True)), np.zeros(3))
     scaled = [lower @ (s * spread) for s, spread in zip(slopes, z.spread, strict=True)]
-    return np.concatenate([lower[np.tril_indices(3)], lower @ bias, *scaled])
+    return np.concatenate([lower[_LOWER_AT], lower @ bias, *scaled])

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
@@ -15,6 +17,8 @@ MAX_EVALUATIONS: Final = 200
 _STEP: Final = 1e-9
 """Stop when a step moves the residual vector by less than this share of its length: 1e-9 sqrt(n) standard errors."""
 _ROUNDING: Final = 1e-13
+_SINGULAR: Final = 1e-14
+"""Square of the smallest pivot of the scaled normal matrix that is told from rounding."""
 _DAMPING_START: Final = 1e-3
 _DAMPING_LIMIT: Final = 1e12
 
@@ -45,12 +49,13 @@ def minimise(evaluate: Evaluate, theta: Floats, floor: float, limit: int = MAX_E
     cost = evaluate(theta, normal, gradient)
     evaluations, damping, is_converged = 1, 0.0, False
     while evaluations < limit and np.isfinite(cost):
-        step = _damped_step(normal, gradient, damping)
-        moved = np.inf if step is None else float(np.sqrt(abs(step @ normal @ step)))
-        if step is not None and damping == 0.0 and moved <= _STEP * np.sqrt(cost) + _ROUNDING * floor:
+        step = np.empty(p)
+        is_regular = damped_step(normal, gradient, damping, step)
+        moved = float(np.sqrt(abs(step @ normal @ step))) if is_regular else np.inf
+        if is_regular and damping == 0.0 and moved <= _STEP * np.sqrt(cost) + _ROUNDING * floor:
             theta, is_converged = theta + step, True
             break
-        if step is not None:
+        if is_regular:
             trial = theta + step
             trial_cost = evaluate(trial, trial_normal, trial_gradient)
             evaluations += 1
@@ -71,18 +76,41 @@ def minimise(evaluate: Evaluate, theta: Floats, floor: float, limit: int = MAX_E
     return Minimum(theta, cost, normal, gradient, evaluations, is_converged)
 
 
-def _damped_step(normal: Floats, gradient: Floats, damping: float) -> Floats | None:
-    """Return -(N + damping diag N)^-1 gradient, None where the matrix is singular; scaled to a unit diagonal."""
-    size = np.sqrt(np.diag(normal))
-    if not np.isfinite(size).all() or np.any(size == 0.0):
-        return None
-    scaled = normal / np.outer(size, size)
-    scaled[np.diag_indices_from(scaled)] = 1.0 + damping
-    try:
-        factor = np.linalg.cholesky(scaled)
-    except np.linalg.LinAlgError:
-        return None
-    if np.diag(factor).min() < 1e-7 and damping == 0.0:
-        return None
-    step = np.linalg.solve(factor.T, np.linalg.solve(factor, gradient / size))
-    return np.asarray(-step / size)
+@njit(cache=True, nogil=True)
+def damped_step(  # noqa: PLR0912
+    normal: Floats, gradient: Floats, damping: float, step: Floats
+) -> bool:  # pragma: no cover - compiled
+    """Leave -(N + damping diag N)^-1 gradient in ``step``; False where the matrix is singular.
+
+    Cholesky of the matrix scaled to a unit diagonal.
+    """
+    p = gradient.size
+    size, factor = np.empty(p), np.empty((p, p))
+    for i in range(p):
+        if not normal[i, i] > 0.0 or not np.isfinite(normal[i, i]):
+            return False
+        size[i] = math.sqrt(normal[i, i])
+    for i in range(p):
+        for j in range(i + 1):
+            total = normal[i, j] / (size[i] * size[j]) if i != j else 1.0 + damping
+            for k in range(j):
+                total -= factor[i, k] * factor[j, k]
+            if i == j:
+                if not total > (_SINGULAR if damping == 0.0 else 0.0):
+                    return False
+                factor[i, i] = math.sqrt(total)
+            else:
+                factor[i, j] = total / factor[j, j]
+    for i in range(p):
+        total = -gradient[i] / size[i]
+        for k in range(i):
+            total -= factor[i, k] * step[k]
+        step[i] = total / factor[i, i]
+    for i in range(p - 1, -1, -1):
+        total = step[i]
+        for k in range(i + 1, p):
+            total -= factor[k, i] * step[k]
+        step[i] = total / factor[i, i]
+    for i in range(p):
+        step[i] /= size[i]
+    return True

@@ -18,12 +18,13 @@ WEAK_BELOW: Final = 10.0
 """The index is a signal-to-noise ratio per sample of the weakest direction: below 3 noise fakes the excitation."""
 NOISE_ALONE_BELOW: Final = 1.5
 """Noise-safe index that noise alone can reach: measured at most 0.7 where the samples determine nothing."""
+ENOUGH: Final = 20_000
+"""Samples, evenly spaced, that show what all of them determine."""
 SIGMA_FLOOR: Final = 1e-7
 """Smallest noise that is believed, as a share of the field: 4 pT at 40 uT, and the rounding of the moments."""
 PARAMETER_NAMES: Final = tuple(f"{g}[{i}]" for g in ("bias_nt", "scale", "nonorthogonality_deg") for i in range(3))
 SHORT_NAMES: Final = ("b1", "b2", "b3", "k1", "k2", "k3", "e1", "e2", "e3")
 
-_ROWS: Final = 65536
 _QUADRATIC: Final = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 _ROOT2: Final = np.sqrt(2.0)
 
@@ -67,6 +68,7 @@ def scalar_information(x_nt: Floats, matrix: Floats, noise_nt: float) -> ScalarI
     The nine parameters are observable where no x^T E x + f^T x vanishes on all samples (`docs/calibration.md`). Noise
     m in x makes such a form (2 E x + f).m; both moments are taken over the samples and compared.
     """
+    x_nt = x_nt[:: max(1, len(x_nt) // ENOUGH)]
     mean_nt = float(np.mean(np.linalg.norm(x_nt, axis=1)))
     lower = inverse_lower(matrix)
     plain, signal, noise = _moments(x_nt / mean_nt, lower)
@@ -84,18 +86,14 @@ def scalar_information(x_nt: Floats, matrix: Floats, noise_nt: float) -> ScalarI
 
 def _moments(x: Floats, lower: Floats) -> tuple[Floats, Floats, Floats]:
     """Return, per sample: moments of the unit design, of the polynomials (x^T E x, f^T x), and of their noise."""
-    plain, signal, noise = np.zeros((9, 9)), np.zeros((9, 9)), np.zeros((9, 9))
-    for start in range(0, len(x), _ROWS):
-        part = x[start : start + _ROWS]
-        length = np.linalg.norm(part, axis=1)
-        rows = np.column_stack([part[:, i] * part[:, j] * (1.0 if i == j else _ROOT2) for i, j in _QUADRATIC] + [part])
-        signal += rows.T @ rows
-        rows /= length[:, None]
-        plain += rows.T @ rows
-        for axis in range(3):
-            slope = _slopes(part, lower[:, axis])
-            noise += slope.T @ slope
-    return plain / len(x), signal / len(x), noise / len(x)
+    length = np.linalg.norm(x, axis=1)
+    rows = np.column_stack([x[:, i] * x[:, j] * (1.0 if i == j else _ROOT2) for i, j in _QUADRATIC] + [x])
+    unit = rows / length[:, None]
+    noise = np.zeros((9, 9))
+    for axis in range(3):
+        slope = _slopes(x, lower[:, axis])
+        noise += slope.T @ slope
+    return unit.T @ unit / len(x), rows.T @ rows / len(x), noise / len(x)
 
 
 def _slopes(x: Floats, direction: Floats) -> Floats:
@@ -167,7 +165,10 @@ def sphere_coverage(directions: Floats, reach_deg: float = 15.0) -> float:
     grid = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), z])
     near = np.zeros(600, dtype=bool)
     # Directions a degree apart cover the same: one of each is enough, and a million cost as little as a thousand.
-    rounded = np.unique(np.round(directions * 50.0), axis=0) / 50.0
+    cells = np.rint(directions * 50.0).astype(np.intp) + 50
+    seen = np.zeros(101**3, dtype=bool)
+    seen[(cells[:, 0] * 101 + cells[:, 1]) * 101 + cells[:, 2]] = True
+    rounded = np.stack(np.unravel_index(np.flatnonzero(seen), (101, 101, 101)), axis=1) / 50.0 - 1.0
     rounded /= np.maximum(np.linalg.norm(rounded, axis=1, keepdims=True), 1e-12)
     for start in range(0, len(rounded), 4096):
         near |= (grid @ rounded[start : start + 4096].T).max(axis=1) >= np.cos(np.deg2rad(reach_deg))

@@ -31,6 +31,7 @@ from magcal_core.calibration.kernels import LOSSES, TUNING, accumulate, accumula
 from magcal_core.calibration.linear_start import closed_form_starts
 from magcal_core.calibration.minimise import Minimum, minimise
 from magcal_core.calibration.observability import (
+    ENOUGH,
     PARAMETER_NAMES,
     SHORT_NAMES,
     UNOBSERVABLE_BELOW,
@@ -48,6 +49,9 @@ MIN_SAMPLES: Final = 10
 """Nine parameters and one residual: with fewer no error can be estimated."""
 _PLAIN: Final = -1.0
 _ROUNDS: Final = 30
+_STILL: Final = 1e-7
+_STILL_ON_ALL: Final = 1e-4
+"""Relative change of the robust scale that ends the iteration; of many samples it is known to 1e-3 only."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +66,14 @@ class _Task:
         names = tuple(observations.regressors)
         columns = [observations.regressors[name] for name in names]
         return cls(observations, Standardised.of(names, columns, len(observations)))
+
+    def thinned(self) -> _Task:
+        """Return the same task on at most `ENOUGH` samples, evenly spaced."""
+        step = len(self.observations) // ENOUGH
+        if step < 2:
+            return self
+        z = replace(self.z, columns=np.ascontiguousarray(self.z.columns[::step]))
+        return _Task(self.observations.take(slice(None, None, step)), z)
 
     @property
     def size(self) -> int:
@@ -122,9 +134,12 @@ class ScalarFit:
         """
         require_samples(observations)
         task = _Task.of(observations)
-        plain = _plain(task, settings)
-        require_observable(task.observations, plain.minimum.theta, plain.minimum.normal)
-        solution = _refined(task, plain, settings)
+        few = task.thinned()
+        plain = _plain(few, settings)
+        require_observable(few.observations, plain.minimum.theta, plain.minimum.normal)
+        solution = _refined(few, plain, settings)
+        if few is not task:
+            solution = _on_all(task, solution, settings)
         return _assemble(self.name, task, solution)
 
     def refit(self, observations: Observations, settings: FitSettings, near: Fit) -> Parameters:
@@ -237,7 +252,19 @@ def _refined(task: _Task, plain: _Solution, settings: FitSettings) -> _Solution:
     return replace(solution, minimum=_right_handed(task, solution.minimum))
 
 
-def _iterated(task: _Task, solution: _Solution, is_white: bool, noise_nt: float | None) -> _Solution:
+def _on_all(task: _Task, near: _Solution, settings: FitSettings) -> _Solution:
+    """Return the minimum over all samples, next to that over some of them."""
+    is_white = settings.noise_model == "white"
+    if near.loss or is_white:
+        solution = _iterated(task, near, is_white, settings.noise_nt, _STILL_ON_ALL)
+    else:
+        solution = near.after(task.minimise(near.minimum.theta), near.bend, near.sigma)
+    return replace(solution, minimum=_right_handed(task, solution.minimum))
+
+
+def _iterated(
+    task: _Task, solution: _Solution, is_white: bool, noise_nt: float | None, still: float = _STILL
+) -> _Solution:
     """Return the minimum under the solution's loss, with scale and noise estimated anew until they stand still."""
     floor = 1e-9 * task.floor / np.sqrt(len(task.observations))
     used = task.observations.weights > 0
@@ -248,7 +275,7 @@ def _iterated(task: _Task, solution: _Solution, is_white: bool, noise_nt: float 
         if is_white:
             sigma = noise_nt if noise_nt is not None else _noise(task, theta, solution, floor)
         scale = robust_sigma(task.residuals(theta, sigma)[used], floor) if solution.loss else max(sigma, floor)
-        if abs(scale - previous) <= 1e-9 * scale:
+        if abs(scale - previous) <= still * scale:
             break
         previous = scale
         bend = TUNING[solution.loss] * scale

@@ -2,9 +2,9 @@
 
 Notes
 -----
-A TLE that is some weeks off is wrong mostly along track, which is an error of time. The offset tau is what must be added
-to the telemetry's clock. The reference at t + tau + delta is B(t + tau) + delta dB/dt: delta is one more unknown of the
-fit, and the reference is computed anew until it vanishes.
+A TLE that is some weeks off is wrong mostly along track, which is an error of time. The offset tau is what must be
+added to the telemetry's clock. The reference at t + tau + delta is B(t + tau) + delta dB/dt: delta is one more unknown
+of the fit, and the reference is computed anew until it vanishes.
 """
 
 from __future__ import annotations

@@ -56,7 +56,7 @@ def honest_covariance(scores: BlockScores, formal: Floats, samples: int) -> Hone
     sums = np.add.reduceat(scores.scores, edges, axis=0)
     normals = np.add.reduceat(scores.normals, edges, axis=0)
     total = scores.normals.sum(axis=0)
-    shifts = np.stack([_left_out(total - normal, s) for normal, s in zip(normals, sums, strict=True)])
+    shifts = _left_out(total - normals, sums)
     m = len(edges)
     moves = shifts @ scores.to_parameters.T
     covariance = moves.T @ moves * (m - 1) / m * (student_95(m - 1) / 1.96) ** 2
@@ -79,13 +79,15 @@ def _long_memory(moves: Floats) -> Floats:
     return np.asarray((1.0 + r) / (1.0 - r))
 
 
-def _left_out(normal: Floats, score: Floats) -> Floats:
-    """Return how far the estimate moves when a block of ``score`` is left out of what leaves ``normal``."""
-    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    scaled = normal / np.outer(size, size)
-    values, vectors = np.linalg.eigh(scaled)
-    inverse = vectors / np.maximum(values, 1e-12) @ vectors.T
-    return np.asarray(inverse @ (score / size) / size)
+def _left_out(normals: Floats, scores: Floats) -> Floats:
+    """Return how far the estimate moves when each block is left out, shape (m, q).
+
+    ``normals``: normal matrices of the rest, shape (m, q, q); ``scores``: scores of the blocks, shape (m, q).
+    """
+    size = np.sqrt(np.maximum(np.diagonal(normals, axis1=1, axis2=2), 1e-300))
+    values, vectors = np.linalg.eigh(normals / (size[:, :, None] * size[:, None, :]))
+    along = np.einsum("mij,mi->mj", vectors, scores / size) / np.maximum(values, 1e-12)
+    return np.asarray(np.einsum("mij,mj->mi", vectors, along) / size)
 
 
 def _block_length(scores: BlockScores) -> int:
