@@ -12,7 +12,8 @@ from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 
 from benchmarks.measure import Figure
-from magcal_core.population import TOLERANCE, Outcome, draw_mission, rates_of, run_mission
+from magcal_core.missions import draw_mission
+from magcal_core.population import TOLERANCE, Outcome, rates_of, run_mission
 
 MISSIONS = 2000
 MINUTES = 40.0

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from magcal_core.calibration.result import Parameters
+from magcal_core.missions import _tle_text, draw_mission
 from magcal_core.orbit.tle import parse_tles
 from magcal_core.population import (
     TOLERANCE,
     Outcome,
-    _tle_text,
-    draw_mission,
     effective_truth,
     expected_share,
     largest_error_share,
