@@ -16,6 +16,7 @@ from sqlalchemy import Connection, text
 
 import migrations
 from app.database import WRITES, Database
+from app.errors import ConflictError
 from app.keys.repository import KeyRepository, Scope
 from app.settings import Settings
 
@@ -39,6 +40,19 @@ def current(database: Database) -> str | None:
     """Return the revision of the database, None where it is empty."""
     with database.engine.connect() as connection:
         return MigrationContext.configure(connection).get_current_revision()
+
+
+def require_head(database: Database) -> None:
+    """Refuse a database whose schema is not this version's.
+
+    Raises
+    ------
+    ConflictError
+        The schema is another version's.
+    """
+    found = current(database)
+    if found != head():
+        raise ConflictError(f"the schema is {found or 'empty'}, this version needs {head()}: run magcal db upgrade")
 
 
 @contextmanager

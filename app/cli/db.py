@@ -55,3 +55,50 @@ def show_current() -> None:
     with opened() as (database, _):
         found = current(database)
     click.echo(f"{found or 'empty'} (this version needs {head()})")
+
+
+@command.command("audit")
+@click.option("--json", "as_json", is_flag=True, help="Print the audit as JSON.")
+def show_audit(as_json: bool) -> None:
+    """Check that everything acknowledged is there, byte for byte; exit 1 where something is amiss."""
+    import json
+
+    from app.store import open_store
+    from app.upkeep.audit import audit, lines_of
+
+    with opened() as (database, settings):
+        found = audit(database, open_store(settings))
+    click.echo(json.dumps(found.to_dict()) if as_json else "\n".join(lines_of(found)))
+    if found.findings:
+        raise click.exceptions.Exit(1)
+
+
+@command.command("rebuild")
+def make_again() -> None:
+    """Make the columnar form of all telemetry again from its raw bytes."""
+    from app.store import open_store
+    from app.upkeep.rebuild import rebuild
+
+    with opened() as (database, settings):
+        done = rebuild(database, open_store(settings), settings)
+    click.echo(f"{done.chunks} chunks read, {done.changed} made anew, {done.without_bytes} without their raw bytes")
+
+
+@command.command("copy")
+@click.argument("target_url", metavar="TARGET_URL")
+def copy_to(target_url: str) -> None:
+    """Copy the database to another one, TARGET_URL, which is brought to this schema and must be empty."""
+    from app.database import Database
+    from app.migrate import upgrade as to_head
+    from app.settings import Settings
+    from app.upkeep.copying import copy
+
+    with opened() as (source, settings):
+        target_settings = settings.model_copy(update={"database_url": target_url})
+        target = Database(Settings.model_validate(target_settings))
+        try:
+            to_head(target, target_settings)
+            counts = copy(source, target)
+        finally:
+            target.close()
+    click.echo("\n".join(f"{name}: {count} rows" for name, count in counts.items()))
