@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Final
@@ -10,6 +11,7 @@ import numpy as np
 
 from app.errors import UnsupportedMediaError
 from magcal_core.orbit import Orbit
+from magcal_core.orbit.frames import teme_to_itrf
 from magcal_core.orbit.sgp4 import Sgp4Orbit
 from magcal_core.orbit.sources import OrbitSource, parse_orbits, parse_sources
 
@@ -44,10 +46,16 @@ def parse_message(body: bytes, media_type: str) -> list[ParsedOrbit]:
     if plain not in MEDIA_TYPES:
         raise UnsupportedMediaError("this content type is not an orbit message")
     found = parse_sources(body, plain or None)
-    for source in found:
-        if isinstance(source.orbit, Sgp4Orbit):
-            source.orbit.position_itrf_km(np.array([source.epoch_utc], "datetime64[ns]"))
+    _propagate([source.orbit for source in found if isinstance(source.orbit, Sgp4Orbit)])
     return [_parsed(source) for source in found]
+
+
+def _propagate(orbits: Sequence[Sgp4Orbit]) -> None:
+    """Raise where an orbit has no position at its epoch; all are rotated at once, as that takes most of the time."""
+    epochs_utc = np.array([orbit.epoch_utc for orbit in orbits], "datetime64[ns]")
+    r_teme_km = [orbit.state_teme(epochs_utc[i : i + 1])[0] for i, orbit in enumerate(orbits)]
+    if orbits:
+        teme_to_itrf(epochs_utc, np.concatenate(r_teme_km))
 
 
 def _parsed(source: OrbitSource) -> ParsedOrbit:

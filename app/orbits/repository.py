@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
 from typing import Final
 
@@ -21,6 +21,8 @@ from app.satellites.repository import SatelliteRepository
 from app.store import digest
 
 MOST_CANDIDATES: Final = 400
+ROWS_AT_ONCE: Final = 500
+"""Orbits that one statement asks for."""
 
 
 class OrbitRepository:
@@ -33,35 +35,43 @@ class OrbitRepository:
 
     def add(self, orbits: Sequence[ParsedOrbit]) -> tuple[list[OrbitRow], bool]:
         """Return the rows of ``orbits`` in their order, and whether any of them is new."""
-        rows, is_any_new = [], False
-        for orbit in orbits:
-            row, is_new = self._add(orbit)
-            rows.append(row)
-            is_any_new |= is_new
-        if is_any_new:
-            record_event(self.session, self.caller, "orbit.create", rows[0].id, self.satellite_id)
-        return rows, is_any_new
+        digests = [digest(orbit.content.encode()) for orbit in orbits]
+        wanted = dict(zip(digests, orbits, strict=True))
+        known = self._by_digest(list(wanted))
+        new = {sha256: orbit for sha256, orbit in wanted.items() if sha256 not in known}
+        if new:
+            self._insert(new)
+            known |= self._by_digest(list(new))
+            record_event(self.session, self.caller, "orbit.create", known[digests[0]].id, self.satellite_id)
+        return [known[sha256] for sha256 in digests], bool(new)
 
-    def _add(self, orbit: ParsedOrbit) -> tuple[OrbitRow, bool]:
-        values = {
-            "id": new_id(),
-            "satellite_id": self.satellite_id,
-            "format": orbit.format,
-            "name": orbit.name,
-            "epoch": orbit.epoch,
-            "until": orbit.until,
-            "content": orbit.content,
-            "sha256": digest(orbit.content.encode()),
-            "details": orbit.details,
-            "created_at": utc_now(),
-            "created_by": self.caller.key_id,
-        }
+    def _by_digest(self, digests: Sequence[str]) -> dict[str, OrbitRow]:
+        own = select(OrbitRow).where(OrbitRow.satellite_id == self.satellite_id)
+        parts = (digests[i : i + ROWS_AT_ONCE] for i in range(0, len(digests), ROWS_AT_ONCE))
+        rows = (row for part in parts for row in self.session.scalars(own.where(OrbitRow.sha256.in_(part))))
+        return {row.sha256: row for row in rows}
+
+    def _insert(self, orbits: Mapping[str, ParsedOrbit]) -> None:
+        """Keep ``orbits``; those that another request has kept meanwhile are passed over."""
+        now = utc_now()
+        values = [
+            {
+                "id": new_id(),
+                "satellite_id": self.satellite_id,
+                "format": orbit.format,
+                "name": orbit.name,
+                "epoch": orbit.epoch,
+                "until": orbit.until,
+                "content": orbit.content,
+                "sha256": sha256,
+                "details": orbit.details,
+                "created_at": now,
+                "created_by": self.caller.key_id,
+            }
+            for sha256, orbit in orbits.items()
+        ]
         insert = postgresql.insert if self.session.get_bind().dialect.name == "postgresql" else sqlite.insert
-        made = self.session.scalar(insert(OrbitRow).values(values).on_conflict_do_nothing().returning(OrbitRow))
-        if made is not None:
-            return made, True
-        same = select(OrbitRow).where(OrbitRow.satellite_id == self.satellite_id, OrbitRow.sha256 == values["sha256"])
-        return self.session.scalars(same).one(), False
+        self.session.execute(insert(OrbitRow).on_conflict_do_nothing(), values)
 
     def get(self, orbit_id: str) -> OrbitRow:
         """Return the orbit ``orbit_id``."""

@@ -1,6 +1,7 @@
 """Orbits over HTTP."""
 
 import json
+import time
 
 import pytest
 
@@ -102,3 +103,40 @@ def test_orbits_of_another_satellite_are_not_there(service, api, satellite):
         assert bound.get(f"/satellites/{satellite}/orbits").content == nothing.content
         assert bound.get(f"/satellites/{satellite}/orbits/{orbit_id}").content == nothing.content
         assert send(bound, satellite, tle_text()).status_code == 404
+
+
+def mission_tles(count: int) -> str:
+    """Return ``count`` TLEs of one satellite over two years, made from one: the epoch and the anomaly move."""
+    lines = []
+    for k in range(count):
+        days = 730.0 * k / count
+        year, day = 21 + int(days // 365), 1.0 + days % 365
+        first = f"1 46493U 20068H   {year:02d}{day:012.8f}  .00000000  00000-0  00000+0 0  999"
+        anomaly = (33.6 + 15.04 * 360.0 * days) % 360.0
+        second = f"2 46493  97.7186 352.5293 0017269 326.3404 {anomaly:8.4f} 15.04187815    0"
+        lines += [f"{line}{sum(int(c) if c.isdigit() else c == '-' for c in line) % 10}" for line in (first, second)]
+    return "\n".join(lines) + "\n"
+
+
+def test_the_tles_of_a_mission_are_kept_at_once(api, satellite):
+    """1,500 TLEs over two years: a second of one core; five, because the machine may be busy with something else."""
+    content = mission_tles(1500)
+    begun = time.process_time()
+    first = api.post(f"/satellites/{satellite}/orbits", content=content, headers={"content-type": "text/plain"})
+    assert time.process_time() - begun < 5.0
+    again = api.post(f"/satellites/{satellite}/orbits", content=content, headers={"content-type": "text/plain"})
+    assert (first.status_code, again.status_code) == (201, 200)
+    ids = [one["id"] for one in first.json()["items"]]
+    assert len(set(ids)) == 1500
+    assert [one["id"] for one in again.json()["items"]] == ids
+    epochs = [one["epoch"] for one in first.json()["items"]]
+    assert epochs == sorted(epochs)
+
+
+def test_an_orbit_that_stands_twice_in_a_message_is_kept_once(api, satellite):
+    content = mission_tles(2) + mission_tles(2)
+    answer = api.post(f"/satellites/{satellite}/orbits", content=content, headers={"content-type": "text/plain"})
+    ids = [one["id"] for one in answer.json()["items"]]
+    assert answer.status_code == 201
+    assert ids[:2] == ids[2:]
+    assert len(set(ids)) == 2
