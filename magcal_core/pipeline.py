@@ -77,8 +77,10 @@ def calibrate(
     tell(0.6)
     left_out = len(samples) - len(estimate.observations)
     suspected = _suspicions(referenced, estimate)
+    tried = estimate.tried_clock
+    is_clock_known = estimate.clock is not None or (tried is not None and tried.is_bounded)
     circumstances = Circumstances(
-        referenced.age_days, estimate.clock is not None, left_out, tuple(f"{one.code}: {one.text}" for one in suspected)
+        referenced.age_days, is_clock_known, left_out, tuple(f"{one.code}: {one.text}" for one in suspected)
     )
     judgement = judgement_of(estimate.estimator, estimate.observations, estimate.fit, estimate.settings, circumstances)
     tell(0.95)

@@ -28,6 +28,8 @@ SIGNIFICANCE: Final = 0.01
 _ROUNDS: Final = 15
 _SMALL_S: Final = 1e-4
 _RATE_STEP_S: Final = 0.5
+BOUNDED_S: Final = 5.0
+"""Standard error of the offset up to which twice as much is harmless: 10 s are 200 nT of |B|."""
 LARGEST_S: Final = 3600.0
 
 At = Callable[[Floats], Observations]
@@ -54,6 +56,11 @@ class ClockFit:
     def is_significant(self) -> bool:
         """Whether the data show an offset."""
         return self.is_converged and self.p_value < SIGNIFICANCE
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether an offset that the data do not show would be too small to matter."""
+        return self.is_converged and self.offset_error_s <= BOUNDED_S
 
     def to_dict(self) -> dict[str, object]:
         """Return the clock as the records have it."""

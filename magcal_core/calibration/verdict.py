@@ -28,7 +28,7 @@ SCALE_ERROR: Final = Limits(0.01, 0.05)
 """Honest standard error of a scale factor, relative."""
 ANGLE_ERROR_DEG: Final = Limits(0.6, 3.0)
 """Honest standard error of an angle, deg: 0.01 and 0.05 rad."""
-RESIDUAL: Final = Limits(0.02, 0.06)
+RESIDUAL: Final = Limits(0.05, 0.20)
 """RMS residual as a share of the mean field."""
 UNSEEN: Final = Limits(1.6, 4.0)
 """Cross-validated RMS over the RMS of the fit."""
@@ -145,7 +145,7 @@ def _circumstances(evidence: Evidence) -> _Found:
     if not evidence.is_converged:
         found.append(("refuse", Reason("not_converged", "the search for the minimum did not end")))
     if evidence.orbit_age_days > 3.0 and not evidence.has_time_offset:
-        text = f"the orbit is {evidence.orbit_age_days:.1f} d from the data and no time offset was estimated"
+        text = f"the orbit is {evidence.orbit_age_days:.1f} d from the data and its time offset was not looked for"
         found.append(("weak" if evidence.orbit_age_days <= 14.0 else "refuse", Reason("orbit_old", text)))
     found += [("refuse", Reason("wrong_input_suspected", text)) for text in evidence.suspicions]
     return found
