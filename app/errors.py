@@ -116,12 +116,6 @@ class UploadStalledError(ServiceError):
     code = "upload_stalled"
 
 
-class TooManyRowsError(InputError):
-    """More rows than one upload may have."""
-
-    code = "too_many_rows"
-
-
 class UnsupportedMediaError(ServiceError):
     """The body's media type or content coding is not one that this call reads."""
 

@@ -8,9 +8,10 @@ from typing import Final
 
 import numpy as np
 
-from app.errors import TooManyRowsError, UnsupportedMediaError
+from app.errors import UnsupportedMediaError
 from app.satellites.tables import Magnetometer
 from app.settings import Settings
+from magcal_core.errors import TooManyRowsError
 from magcal_core.samples import Floats, Samples
 from magcal_core.telemetry import MEDIA_TYPES, Telemetry, read_telemetry
 from magcal_core.telemetry.columns import (

@@ -1,0 +1,90 @@
+"""The documentation names everything that a user can meet: one setting, code, method or format too many fails."""
+
+import importlib
+import pkgutil
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import app
+from app.cli.main import COMMANDS
+from app.main import create_app
+from app.settings import Settings
+from magcal_core.calibration import ESTIMATORS
+from magcal_core.errors import MagcalError
+from magcal_core.field.models import FIELD_MODELS
+from magcal_core.sensor import CONVENTIONS
+from magcal_core.telemetry import READERS
+
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+UNSEEN = {
+    "error",
+    "input",
+    "internal",
+    "lost_claim",
+    "abandoned",
+    "demo",
+    "print",
+    "no_browser",
+    "unreachable",
+    "job_failed",
+}
+"""Bases, and codes that only a terminal or a log shows."""
+
+
+def page(name: str) -> str:
+    return (DOCS / name).read_text(encoding="utf-8")
+
+
+def error_kinds(kind: type[MagcalError]) -> Iterator[type[MagcalError]]:
+    for one in kind.__subclasses__():
+        yield one
+        yield from error_kinds(one)
+
+
+@pytest.mark.parametrize("name", sorted(Settings.model_fields))
+def test_every_setting_is_documented(name: str) -> None:
+    row = re.search(rf"^\| `MAGCAL_{name.upper()}` \| (.*?) \|", page("configuration.md"), re.MULTILINE)
+    assert row is not None
+    assert row[1] == Settings.model_fields[name].description
+
+
+def test_no_setting_is_documented_that_is_not_there() -> None:
+    named = re.findall(r"^\| `MAGCAL_(\w+)`", page("configuration.md"), re.MULTILINE)
+    assert sorted(named) == sorted(name.upper() for name in Settings.model_fields)
+
+
+def test_every_error_code_is_documented() -> None:
+    for module in pkgutil.walk_packages(app.__path__, "app."):
+        if ".cli." not in module.name:
+            importlib.import_module(module.name)
+    codes = {kind.code for kind in error_kinds(MagcalError)} - UNSEEN
+    documented = set(re.findall(r"^\| `(\w+)` \|", page("errors.md"), re.MULTILINE))
+    assert documented == codes
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS))
+def test_every_command_is_documented(name: str) -> None:
+    assert f"magcal {name}" in page("command-line.md") + page("service.md") + page("report.md")
+
+
+PLACES = [
+    (ESTIMATORS, "calibration.md"),
+    (CONVENTIONS, "calibration.md"),
+    (FIELD_MODELS, "field.md"),
+    (READERS, "telemetry.md"),
+]
+
+
+@pytest.mark.parametrize(("names", "where"), PLACES)
+def test_every_method_convention_model_and_format_is_documented(names: dict[str, object], where: str) -> None:
+    text = page(where).lower()
+    assert [name for name in names if name.lower() not in text] == []
+
+
+def test_every_call_of_the_api_is_documented(tmp_path: Path) -> None:
+    paths = create_app(Settings(data_dir=tmp_path), workers=0).openapi()["paths"]
+    calls = {f"{method.upper()} {path.removeprefix('/api/v1')}" for path, calls in paths.items() for method in calls}
+    assert calls == set(re.findall(r"^\| `((?:GET|POST|PUT|PATCH|DELETE) [^`]*)`", page("service.md"), re.MULTILINE))
