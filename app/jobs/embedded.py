@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import threading
+from collections.abc import Sequence
 
 import structlog
 from sqlalchemy.exc import OperationalError
@@ -27,9 +28,9 @@ class EmbeddedQueue:
         self.news = threading.Condition()
         self.announced = 0
 
-    def enqueue(self, session: Session, job: Job) -> None:
-        """Add ``job`` to the table: that is all it takes."""
-        session.add(job)
+    def enqueue(self, session: Session, jobs: Sequence[Job]) -> None:
+        """Add ``jobs`` to the table: that is all it takes."""
+        session.add_all(jobs)
 
     def announce(self) -> None:
         """Wake the workers of this process."""
@@ -49,7 +50,7 @@ class EmbeddedWorkers:
         self._settings = settings
         self._queue = queue
         self._stopping = threading.Event()
-        self._executors = [Executor(database, store, settings) for _ in range(count)]
+        self._executors = [Executor(database, store, settings, queue) for _ in range(count)]
         self._threads = [
             threading.Thread(target=self._work, args=(executor, f"{socket.gethostname()}:{os.getpid()}:{number}"))
             for number, executor in enumerate(self._executors)

@@ -21,5 +21,10 @@ class Engine:
 
 def open_engine(database: Database, store: Store, settings: Settings, workers: int) -> Engine:
     """Return the queue of the settings' database, with ``workers`` workers in this process."""
+    if settings.is_postgres:
+        from app.jobs.cluster import ClusterQueue, ClusterWorkers
+
+        cluster = ClusterQueue(database)
+        return Engine(cluster, ClusterWorkers(database, store, settings, cluster, workers) if workers else None)
     queue = EmbeddedQueue()
     return Engine(queue, EmbeddedWorkers(database, store, settings, queue, workers) if workers else None)

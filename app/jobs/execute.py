@@ -8,12 +8,14 @@ from typing import Final
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.orm import Session
 
 from app.database import Database
 from app.errors import Problem, problem, problem_of
 from app.jobs.child import Failure, Outcome, Task
 from app.jobs.claims import Claim, LostClaimError, finish, hand_back, is_cancelled, renew
 from app.jobs.kinds import JOB_KINDS
+from app.jobs.port import Queue
 from app.jobs.supervisor import AbandonedError, Calculator, ChildDiedError, TimedOutError
 from app.jobs.tables import Job
 from app.metrics import JOB_SECONDS
@@ -30,10 +32,11 @@ INTERNAL: Final = problem(500, "internal", "the job failed unexpectedly; the log
 class Executor:
     """Executes jobs one after the other, with one child process for the calculations."""
 
-    def __init__(self, database: Database, store: Store, settings: Settings) -> None:
+    def __init__(self, database: Database, store: Store, settings: Settings, queue: Queue) -> None:
         self._database = database
         self._store = store
         self._settings = settings
+        self._queue = queue
         self._closing = threading.Event()
         warm = tuple(kind.warm for kind in JOB_KINDS.values() if kind.warm)
         self.calculator = Calculator(settings.job_memory_mb, warm)
@@ -103,8 +106,12 @@ class Executor:
             if watch.is_cancelled:
                 finish(session, claim, "cancelled")
                 return "cancelled"
-            hand_back(session, claim, is_lost=False)
+            self._hand_back(session, claim, is_lost=False)
         return "handed back"
+
+    def _hand_back(self, session: Session, claim: Claim, *, is_lost: bool) -> None:
+        hand_back(session, claim, is_lost=is_lost)
+        self._queue.enqueue(session, [session.get_one(Job, claim.job_id)])
 
     def _lose(self, claim: Claim, error: ChildDiedError) -> str:
         with self._database.write() as session:
@@ -113,7 +120,8 @@ class Executor:
                 detail = f"{error.message}; {job.lost_attempts + 1} attempts ended like this"
                 finish(session, claim, "failed", error=problem(500, "dead", detail))
                 return "dead"
-            hand_back(session, claim, is_lost=True)
+            self._hand_back(session, claim, is_lost=True)
+        self._queue.announce()
         log.warning("calculation_lost", why=error.message)
         return "lost"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 from sqlalchemy.orm import Session
@@ -12,8 +13,11 @@ from app.jobs.tables import Job
 class Queue(Protocol):
     """Hands jobs to workers; a job is a row of the service's own table in every engine."""
 
-    def enqueue(self, session: Session, job: Job) -> None:
-        """Hand ``job`` out once the session's transaction is committed, and not if it is not."""
+    def enqueue(self, session: Session, jobs: Sequence[Job]) -> None:
+        """Hand ``jobs`` out once the session's transaction is committed, and not if it is not.
+
+        The jobs are new rows, or rows whose attempt has just been handed back.
+        """
         ...
 
     def announce(self) -> None:

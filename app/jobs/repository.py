@@ -51,7 +51,7 @@ class JobRepository:
             created_at=utc_now(),
             created_by=self.caller.key_id,
         )
-        queue.enqueue(self.session, job)
+        queue.enqueue(self.session, [job])
         self.session.flush()
         self.session.add_all(JobSession(job_id=job.id, session_id=one) for one in admission.session_ids)
         record_event(self.session, self.caller, f"job.{body.kind}", job.id, job.satellite_id)
@@ -135,6 +135,7 @@ def _read(job: Job, session_ids: list[str]) -> JobRead:
             "state": job.state,
             "progress": job.progress,
             "attempts": job.attempts,
+            "worker": job.worker,
             "priority": job.priority,
             "satellite": job.satellite_id,
             "magnetometer": job.magnetometer_id,

@@ -58,6 +58,7 @@ class JobRead(Record):
     state: JobState
     progress: float
     attempts: int
+    worker: str | None = Field(description="HOST:PID of the worker that has it, or had it last.")
     priority: int
     satellite: str | None
     magnetometer: str | None

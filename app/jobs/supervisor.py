@@ -13,7 +13,12 @@ from app.errors import ServiceError
 from app.jobs.child import Failure, Message, Outcome, Task, run
 
 TICK_S: Final = 0.1
+START_S: Final = 300.0
+"""A child that is not warm after so long is given up."""
 PRELOAD: Final = ("numpy", "scipy.linalg", "pyarrow", "numba", "app.jobs.child", "app.jobs.kinds")
+
+
+Watch = Callable[[float], bool]
 
 
 class ChildDiedError(ServiceError):
@@ -42,6 +47,7 @@ class Calculator:
         self._warm = warm
         self._child: ForkServerProcess | None = None
         self._connection: Connection | None = None
+        self._is_warm = False
 
     def start(self) -> None:
         """Start the child, if there is none, without waiting for it."""
@@ -55,17 +61,11 @@ class Calculator:
         theirs.close()
         self._connection = ours
 
-    def wait_ready(self, timeout_s: float) -> bool:
-        """Return whether the child is warm within ``timeout_s``."""
-        self.start()
-        if self._connection is None:
-            return False
-        return self._connection.poll(timeout_s)
-
-    def run(self, task: Task, timeout_s: float, watch: Callable[[float], bool]) -> Outcome | Failure:
+    def run(self, task: Task, timeout_s: float, watch: Watch) -> Outcome | Failure:
         """Return what ``task`` finds.
 
         ``watch`` is called with the progress several times a second; where it returns False, the child is killed.
+        The time counts from when the child is warm.
 
         Raises
         ------
@@ -75,22 +75,37 @@ class Calculator:
         self.start()
         if self._connection is None:
             raise ChildDiedError("the calculation's process could not be started")
-        deadline, progress = time.monotonic() + timeout_s, 0.0
         try:
+            self._warm_up(self._connection, watch)
             self._connection.send(task)
-            while time.monotonic() < deadline:
-                message: Message | None = self._connection.recv() if self._connection.poll(TICK_S) else None
-                if isinstance(message, Outcome | Failure):
-                    return message
-                progress = progress if message is None else max(progress, message)
-                if not watch(progress):
-                    raise AbandonedError("the calculation was ended")
-            raise TimedOutError(f"the calculation took longer than {timeout_s:g} s")
+            return self._listen(self._connection, timeout_s, watch)
         except (EOFError, ConnectionError, BrokenPipeError):
             raise ChildDiedError(f"the calculation's process died, {self._obituary()}") from None
         except ServiceError:
             self.kill()
             raise
+
+    def _warm_up(self, connection: Connection, watch: Watch) -> None:
+        deadline = time.monotonic() + START_S
+        while not self._is_warm:
+            if connection.poll(TICK_S):
+                connection.recv()
+                self._is_warm = True
+            elif not watch(0.0):
+                raise AbandonedError("the calculation was ended before it began")
+            elif time.monotonic() > deadline:
+                raise ChildDiedError(f"the calculation's process was not ready after {START_S:g} s")
+
+    def _listen(self, connection: Connection, timeout_s: float, watch: Watch) -> Outcome | Failure:
+        deadline, progress = time.monotonic() + timeout_s, 0.0
+        while time.monotonic() < deadline:
+            message: Message | None = connection.recv() if connection.poll(TICK_S) else None
+            if isinstance(message, Outcome | Failure):
+                return message
+            progress = progress if message is None else max(progress, message)
+            if not watch(progress):
+                raise AbandonedError("the calculation was ended")
+        raise TimedOutError(f"the calculation took longer than {timeout_s:g} s")
 
     def _obituary(self) -> str:
         if self._child is None:
@@ -108,3 +123,4 @@ class Calculator:
         if self._connection is not None:
             self._connection.close()
         self._child = self._connection = None
+        self._is_warm = False

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import datetime
 
-from sqlalchemy import CheckConstraint, ForeignKey, Index, String
+from sqlalchemy import BigInteger, CheckConstraint, ForeignKey, Index, String
 from sqlalchemy.orm import Mapped, mapped_column
 
 from app.database import Base, JsonColumn
@@ -36,6 +36,7 @@ class Job(Base):
     cancel_requested: Mapped[bool]
     lease_until: Mapped[datetime | None]
     worker: Mapped[str | None] = mapped_column(String(200))
+    queue_id: Mapped[int | None] = mapped_column(BigInteger)
     error: Mapped[dict[str, object] | None] = mapped_column(JsonColumn)
     result: Mapped[dict[str, object] | None] = mapped_column(JsonColumn)
     created_at: Mapped[datetime]

@@ -1,0 +1,207 @@
+"""The queue on PostgreSQL: procrastinate hands jobs out to workers on many machines.
+
+A job stays a row of magcal's own table; procrastinate's row only says that somebody is to look at it. So what
+procrastinate does not fence (a paused worker may end a job that another has taken over) cannot end a job of ours, and
+a sweep hands out again what procrastinate has lost sight of.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import queue
+import socket
+import threading
+from collections.abc import Sequence
+from typing import Final
+
+import procrastinate
+import structlog
+from procrastinate.exceptions import ConnectorException
+from sqlalchemy import and_, column, make_url, or_, select, table, text
+from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.orm import Session
+
+from app.database import Database, DatabaseNow
+from app.errors import UnavailableError
+from app.jobs.claims import Claim, bury_lost, claim_one
+from app.jobs.execute import Executor
+from app.jobs.tables import Job
+from app.settings import Settings
+from app.store import Store
+
+TASK: Final = "magcal.job"
+SWEEP_EVERY_S: Final = 2.0
+LOST_SIGHT_S: Final = 1.0
+"""A job whose lease ran out so long ago, and that procrastinate does not hand out, is handed out again."""
+MOST_AT_ONCE: Final = 100
+RESTART_S: Final = 1.0
+
+log = structlog.get_logger()
+handed_out = table("procrastinate_jobs", column("id"), column("status"))
+
+
+class ClusterQueue:
+    """Enqueues through the connection of the transaction that makes the job."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self._app = procrastinate.App(connector=procrastinate.SyncPsycopgConnector())
+
+    def enqueue(self, session: Session, jobs: Sequence[Job]) -> None:
+        """Hand ``jobs`` out with the session's transaction."""
+        session.add_all(jobs)
+        session.flush()
+        connection = session.connection().connection.driver_connection
+        for job in jobs:
+            deferrer = self._app.configure_task(
+                TASK, queue="magcal", lock=job.lock, priority=job.priority, connection=connection
+            )
+            try:
+                job.queue_id = deferrer.defer(job_id=job.id)
+            except ConnectorException as error:
+                raise UnavailableError("the queue does not take the job; try again") from error
+        session.flush()
+
+    def announce(self) -> None:
+        """Nothing to tell: PostgreSQL notifies the workers when the transaction is committed."""
+
+    def check(self) -> None:
+        """Raise UnavailableError where procrastinate's tables are not there."""
+        try:
+            with self._database.read() as session:
+                session.execute(select(handed_out.c.id).limit(1))
+        except SQLAlchemyError as error:
+            raise UnavailableError("the queue's tables cannot be read") from error
+
+
+class ClusterWorkers:
+    """A procrastinate worker in a thread with an event loop, over executors that each have a child process."""
+
+    def __init__(self, database: Database, store: Store, settings: Settings, cluster: ClusterQueue, count: int) -> None:
+        self._database = database
+        self._settings = settings
+        self._queue = cluster
+        self._count = count
+        self._name = f"{socket.gethostname()}:{os.getpid()}"
+        self._executors = [Executor(database, store, settings, cluster) for _ in range(count)]
+        self._free: queue.SimpleQueue[Executor] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._run()))
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._running: asyncio.Task[None] | None = None
+        self._stopping = threading.Event()
+
+    def start(self) -> None:
+        """Start the children, then the thread that gives them work."""
+        for executor in self._executors:
+            executor.calculator.start()
+            self._free.put(executor)
+        self._thread.start()
+
+    def stop(self, grace_s: float) -> None:
+        """Take no more jobs; give those that run ``grace_s`` seconds, then hand them back."""
+        self._stopping.set()
+        if self._loop is not None and self._running is not None:
+            self._loop.call_soon_threadsafe(self._running.cancel)
+        self._thread.join(grace_s)
+        for executor in self._executors:
+            executor.close()
+        self._thread.join()
+        for executor in self._executors:
+            executor.calculator.kill()
+
+    async def _run(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        while not self._stopping.is_set():
+            self._running = asyncio.create_task(self._work())
+            try:
+                await self._running
+            except asyncio.CancelledError:
+                return
+            except Exception:  # the worker's loop: it starts anew when the database is back
+                log.exception("worker_interrupted")
+                await asyncio.sleep(RESTART_S)
+
+    async def _work(self) -> None:
+        settings = self._settings
+        conninfo = make_url(settings.url).set(drivername="postgresql").render_as_string(hide_password=False)
+        app = procrastinate.App(connector=procrastinate.PsycopgConnector(conninfo=conninfo, max_size=self._count + 4))
+        app.task(name=TASK)(self._job)
+        async with app.open_async():
+            sweeping = asyncio.create_task(self._sweep(app))
+            try:
+                await app.run_worker_async(
+                    queues=["magcal"],
+                    name=self._name,
+                    concurrency=self._count,
+                    install_signal_handlers=False,
+                    fetch_job_polling_interval=SWEEP_EVERY_S,
+                    update_heartbeat_interval=settings.job_heartbeat_s,
+                    stalled_worker_timeout=settings.job_lease_s,
+                    delete_jobs="always",
+                )
+            finally:
+                sweeping.cancel()
+                with contextlib.suppress(asyncio.CancelledError):
+                    await sweeping
+
+    async def _job(self, job_id: str) -> None:
+        """Work on a job, unless it has ended or another attempt holds it."""
+        await asyncio.to_thread(self._attempt, job_id)
+
+    def _attempt(self, job_id: str) -> None:
+        claim = self._claim(job_id)
+        if claim is None:
+            return
+        executor = self._free.get()
+        try:
+            executor.execute(claim)
+        finally:
+            self._free.put(executor)
+
+    def _claim(self, job_id: str) -> Claim | None:
+        with self._database.write() as session:
+            most_lost = self._settings.job_attempts
+            return claim_one(session, job_id, self._name, self._settings.job_lease_s, most_lost)
+
+    async def _sweep(self, app: procrastinate.App) -> None:
+        """Hand out again, every few seconds, what a lost worker held."""
+        while True:
+            await asyncio.sleep(SWEEP_EVERY_S)
+            try:
+                stalled = await app.job_manager.get_stalled_jobs(
+                    seconds_since_heartbeat=self._settings.job_lease_s + LOST_SIGHT_S
+                )
+                for job in stalled:
+                    if job.id is not None:
+                        await self._retry(app, job.id)
+                await asyncio.to_thread(self._hand_out_again)
+            except (ConnectorException, SQLAlchemyError) as error:
+                log.warning("sweep_failed", error=str(error))
+
+    async def _retry(self, app: procrastinate.App, queue_id: int) -> None:
+        now = procrastinate.utils.utcnow()
+        with contextlib.suppress(ConnectorException):  # another worker's sweep was first
+            await app.job_manager.retry_job_by_id_async(queue_id, retry_at=now)
+            log.info("stalled_job_handed_out", queue_id=queue_id)
+
+    def _hand_out_again(self) -> None:
+        """Enqueue anew the jobs that wait or lost their worker, and that procrastinate does not know any more."""
+        is_known = select(handed_out.c.id).where(
+            handed_out.c.id == Job.queue_id, handed_out.c.status.in_([text("'todo'"), text("'doing'")])
+        )
+        is_lost = and_(Job.state == "running", Job.lease_until < DatabaseNow(-LOST_SIGHT_S))
+        waits = and_(Job.state == "queued", Job.created_at < DatabaseNow(-60.0))
+        with self._database.write() as session:
+            bury_lost(session, self._settings.job_attempts)
+            lost = (
+                select(Job)
+                .where(or_(is_lost, waits), ~is_known.exists())
+                .with_for_update(skip_locked=True)
+                .limit(MOST_AT_ONCE)
+            )
+            jobs = session.scalars(lost).all()
+            if jobs:
+                self._queue.enqueue(session, jobs)
+                log.info("lost_jobs_handed_out", jobs=len(jobs))

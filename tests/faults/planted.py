@@ -1,0 +1,44 @@
+"""Calculations that go wrong, planted in the child in place of a calibration."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+
+from app.jobs.calibrating import calibrate
+from app.jobs.child import Outcome, Report
+
+
+def slow(work: object, report: Report) -> Outcome:
+    """A calibration that takes PLANTED_S seconds longer."""
+    until = time.monotonic() + float(os.environ.get("PLANTED_S", "2"))
+    while time.monotonic() < until:
+        time.sleep(0.02)
+        report(0.1)
+    return calibrate(work, report)
+
+
+def crash(work: object, report: Report) -> Outcome:
+    """A calculation that ends its process."""
+    os.kill(os.getpid(), signal.SIGSEGV)
+    return calibrate(work, report)
+
+
+def hoard(work: object, report: Report) -> Outcome:
+    """A calculation that wants all the memory there is."""
+    kept = []
+    while True:
+        kept.append(bytearray(1 << 26))
+        report(0.1)
+
+
+def hang(work: object, report: Report) -> Outcome:
+    """A calculation that never ends, and holds the interpreter while it does not."""
+    while True:
+        sum(range(10_000_000))
+
+
+def stumble(work: object, report: Report) -> Outcome:
+    """A calculation with a mistake in it."""
+    raise ZeroDivisionError("planted")
