@@ -84,6 +84,7 @@ def judgement_of(
         orbit_age_days=circumstances.orbit_age_days,
         has_time_offset=circumstances.has_time_offset,
         suspicions=circumstances.suspicions,
+        misaligned_deg=_misaligned_deg(fit),
     )
     return Judgement(
         honest,
@@ -96,6 +97,14 @@ def judgement_of(
         judge(evidence),
         motion_words(directions),
     )
+
+
+def _misaligned_deg(fit: Fit) -> float:
+    """Return the turn, deg, that the fit warns of; 0 where it does not."""
+    full = fit.extras.get("full_matrix")
+    if not isinstance(full, Mapping) or not any(warning.startswith("misaligned") for warning in fit.warnings):
+        return 0.0
+    return float(full["rotation_deg"])
 
 
 def _at_mean(fit: Fit, errors: Parameters, observations: Observations, honest: HonestCovariance) -> Parameters:

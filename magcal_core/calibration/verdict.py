@@ -28,6 +28,8 @@ SCALE_ERROR: Final = Limits(0.01, 0.05)
 """Honest standard error of a scale factor, relative."""
 ANGLE_ERROR_DEG: Final = Limits(0.6, 3.0)
 """Honest standard error of an angle, deg: 0.01 and 0.05 rad."""
+MISALIGNED_DEG: Final = Limits(0.6, 3.0)
+"""Turn of the reference against the sensor's base frame that a vector fit cannot follow, deg."""
 RESIDUAL: Final = Limits(0.05, 0.20)
 """RMS residual as a share of the mean field."""
 UNSEEN: Final = Limits(1.6, 4.0)
@@ -55,7 +57,7 @@ class Evidence:
     orbit_age_days: float
     has_time_offset: bool
     suspicions: tuple[str, ...] = ()
-    session_p_value: float | None = None
+    misaligned_deg: float = 0.0
 
 
 def judge(evidence: Evidence) -> Verdict:
@@ -142,6 +144,9 @@ def _circumstances(evidence: Evidence) -> _Found:
         "many_rejected",
         f"{evidence.rejected_share:.1%} of the samples were left out",
     )
+    turn_deg = evidence.misaligned_deg
+    text = f"the reference is turned by {turn_deg:.2g} deg from the sensor's frame, full_matrix has the rotation"
+    found += _graded(turn_deg, MISALIGNED_DEG, "misaligned", text)
     if not evidence.is_converged:
         found.append(("refuse", Reason("not_converged", "the search for the minimum did not end")))
     if evidence.orbit_age_days > 3.0 and not evidence.has_time_offset:
