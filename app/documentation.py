@@ -54,7 +54,7 @@ def _describe(made: Document, prefix: str, routers: Sequence[APIRouter]) -> None
         operation = _child(_child(paths, path), method)
         scopes = required_scopes(route.dependant)
         if scopes:
-            operation["security"] = [{SCHEME: [scope]} for scope in scopes]
+            operation["security"] = [{SCHEME: [str(scope)]} for scope in scopes]
         responses = _child(operation, "responses")
         for status, description in ERRORS.items():
             responses[status] = {

@@ -176,6 +176,12 @@ class StoredObjectCorruptError(ServiceError):
     code = "stored_object_corrupt"
 
 
+class ExpiredError(ServiceError):
+    """The bytes are past their retention and have been removed."""
+
+    code = "expired"
+
+
 class RefusedVerdictError(ServiceError):
     """The parameter set's verdict is ``refuse``."""
 
@@ -204,6 +210,7 @@ STATUS: Final[Mapping[type[MagcalError], int]] = {
     UnavailableError: 503,
     StorageFullError: 507,
     StoredObjectCorruptError: 500,
+    ExpiredError: 410,
     RefusedVerdictError: 409,
     MagcalError: 500,
 }

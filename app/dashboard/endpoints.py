@@ -19,6 +19,7 @@ from app.dashboard.schemas import (
     HistoryRow,
     OverviewQuery,
     OverviewRow,
+    ReportQuery,
     ResidualQuery,
     ResidualSummary,
     SessionFigure,
@@ -185,7 +186,7 @@ def get_report(
     caller: Reader,
     db: Db,
     store: Blobs,
-    pointing: Annotated[bool, Query(description="With how well attitude by magnetometer would point.")] = False,
+    query: Annotated[ReportQuery, Query()],
 ) -> Response:
     """Give the report of a parameter set as one page that needs nothing else and prints as it stands."""
     from app.report import render_report
@@ -194,7 +195,7 @@ def get_report(
     record: ParameterSetRecord = record_of(row)
     with db.read() as session:
         record["session_ids"] = ParameterSetRepository(session, caller).session_ids([row])[row.id]
-    impact = pointing_impact(parameter_set_id, caller, db) if pointing else None
+    impact = pointing_impact(parameter_set_id, caller, db) if query.pointing else None
     page = render_report(record, _residuals(row, db, store), made_at=_now(), pointing=impact)
     name = f"magcal-{row.satellite_id}-{row.magnetometer_id}-{row.id}.html"
     headers = {"Content-Security-Policy": REPORT_POLICY, "Content-Disposition": f'inline; filename="{name}"'}

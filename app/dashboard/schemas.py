@@ -135,6 +135,12 @@ class ResidualQuery(Filter):
     parameter_set: Identifier
 
 
+class ReportQuery(Filter):
+    """What a report has beside its sections."""
+
+    pointing: bool = Field(False, description="With how well attitude by magnetometer would point.")
+
+
 class FigureQuery(Filter):
     """How a figure looks."""
 
