@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import tempfile
 import threading
 import time
@@ -19,7 +18,7 @@ from app.client import Client, Record
 from app.demo.mission import SESSIONS, Pass, simulated, tle_text
 from app.demo.tables import drift_table, parameter_table, statistics_table
 from app.logs import configure_logs
-from app.server import prepare, server_of
+from app.server import listen, prepare, server_of
 from app.settings import Settings
 from magcal_core.errors import MagcalError
 from magcal_core.options import METHODS
@@ -70,7 +69,7 @@ def run_demo(*, port: int, once: bool) -> None:
 def _service(settings: Settings) -> Iterator[tuple[str, str]]:
     """Yield address and admin key of a service that runs in this process."""
     key = prepare(settings)
-    listener = socket.create_server((settings.host, settings.port))
+    listener = listen(settings.host, settings.port)
     server = server_of(settings)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
     thread.start()

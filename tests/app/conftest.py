@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -11,11 +10,12 @@ from pathlib import Path
 
 import httpx2
 import pytest
+import structlog
 import uvicorn
 
 from app.database import Database
 from app.keys.repository import KeyRepository
-from app.server import prepare, server_of
+from app.server import listen, prepare, server_of
 from app.settings import Settings
 
 START_S = 30.0
@@ -51,7 +51,7 @@ class Service:
 def run_service(settings: Settings) -> Iterator[Service]:
     """Yield a service that runs in a thread of this process."""
     key = prepare(settings)
-    listener = socket.create_server(("127.0.0.1", 0))
+    listener = listen("127.0.0.1", 0)
     server = server_of(settings)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
     thread.start()
@@ -65,6 +65,13 @@ def run_service(settings: Settings) -> Iterator[Service]:
         server.should_exit = True
         thread.join()
         listener.close()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def plain_logs() -> None:
+    """Log an error of the server in a page, not with every local variable of every frame, which takes a minute."""
+    plain = structlog.dev.ConsoleRenderer(colors=False, exception_formatter=structlog.dev.plain_traceback)
+    structlog.configure(processors=[structlog.contextvars.merge_contextvars, structlog.processors.add_log_level, plain])
 
 
 @pytest.fixture(scope="session")

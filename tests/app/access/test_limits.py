@@ -155,3 +155,15 @@ def test_pages_of_a_list_are_bounded(api):
     assert api.get("/sessions", params={"limit": 1000}).status_code == 200
     for limit in ("1001", "0", "-1", "1e9", "ten"):
         assert api.get("/sessions", params={"limit": limit}).status_code == 422
+
+
+def test_an_answer_does_not_wait_for_the_acknowledgement_of_its_headers(new_service):
+    """With Nagle's algorithm every answer on one connection takes 40 ms; the fastest of thirty takes far less."""
+    service = new_service()
+    took = []
+    with service.client("") as client:
+        for _ in range(30):
+            begun = time.perf_counter()
+            client.get(f"{service.url}/healthz").raise_for_status()
+            took.append(time.perf_counter() - begun)
+    assert min(took) < 0.02
