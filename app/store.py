@@ -119,7 +119,11 @@ class DatabaseStore:
 
 def open_store(settings: Settings) -> Store:
     """Return the store that the settings name."""
-    return DatabaseStore()
+    if settings.store_url is None:
+        return DatabaseStore()
+    from app.object_store import open_url
+
+    return open_url(settings.store_url)
 
 
 def raw_key(satellite_id: str, sha256: str) -> str:

@@ -102,3 +102,18 @@ def copy_to(target_url: str) -> None:
         finally:
             target.close()
     click.echo("\n".join(f"{name}: {count} rows" for name, count in counts.items()))
+
+
+@command.command("retention")
+@click.option("--apply", "is_meant", is_flag=True, help="Remove; without it, only say what would be removed.")
+def run_retention(is_meant: bool) -> None:
+    """Remove raw bytes and chunks that are past their satellite's retention; parameter sets stay."""
+    from app.store import open_store
+    from app.upkeep.retention import expired, remove_expired
+
+    with opened() as (database, settings):
+        found = remove_expired(database, open_store(settings)) if is_meant else expired(database)
+    for one in found:
+        click.echo(f"{one.session_id}  {one.satellite_id}  {one.data_until}  {one.size_bytes / 1e6:.3f} MB")
+    total_mb = sum(one.size_bytes for one in found) / 1e6
+    click.echo(f"{len(found)} sessions, {total_mb:.3f} MB {'removed' if is_meant else 'would be removed'}")

@@ -11,7 +11,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from app.database import new_id, utc_now
-from app.errors import ConflictError
+from app.errors import ConflictError, ExpiredError
 from app.jobs.child import Outcome
 from app.jobs.kind import Admission, WrongKindError
 from app.jobs.schemas import CalibrationBody, JobBody
@@ -61,6 +61,8 @@ class CalibrationKind:
         places = {(row.satellite_id, row.magnetometer_id) for row in rows}
         if len(places) != 1:
             raise OptionError("the sessions are not of one magnetometer")
+        if any(row.raw_removed_at is not None for row in rows):
+            raise ExpiredError("the telemetry of a session is past its satellite's retention and has been removed")
         if not all(row.samples for row in rows):
             raise ConflictError("a session has no samples yet")
         satellite_id, magnetometer_id = places.pop()

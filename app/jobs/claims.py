@@ -14,6 +14,7 @@ from sqlalchemy.orm import Session, aliased
 
 from app.database import DatabaseNow
 from app.errors import Problem, ServiceError, problem
+from app.jobs.reprocessing import settle
 from app.jobs.tables import Job
 
 DEAD: Final = "dead"
@@ -170,7 +171,8 @@ def _end(
     }
     if state == "succeeded":
         values["progress"] = 1.0
-    done = session.execute(
-        update(Job).where(which).values(values).returning(Job.id).execution_options(synchronize_session=False)
-    )
-    return len(done.all())
+    ended = update(Job).where(which).values(values).returning(Job.parent_id)
+    parents = session.scalars(ended.execution_options(synchronize_session=False)).all()
+    for parent_id in set(parents) - {None}:
+        settle(session, str(parent_id))
+    return len(parents)

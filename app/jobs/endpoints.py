@@ -15,7 +15,8 @@ from app.body import StrictJsonRoute
 from app.idempotency import KeyHeader, fingerprint, recall, remember
 from app.jobs.kinds import JobRequest
 from app.jobs.repository import JobRepository
-from app.jobs.schemas import JobQuery, JobRead
+from app.jobs.reprocessing import submit_reprocessing
+from app.jobs.schemas import JobQuery, JobRead, ReprocessingBody
 from app.jobs.series import read_series
 from app.keys.repository import Caller
 from app.parameter_sets.residuals import from_bytes
@@ -25,13 +26,13 @@ from app.schemas import Page
 from app.sessions.endpoints import TABLES
 from app.tabular import table_response, wanted_format, write_table
 
-router = APIRouter(route_class=StrictJsonRoute, prefix="/jobs", tags=["jobs"])
+router = APIRouter(route_class=StrictJsonRoute, tags=["jobs"])
 
 LOOK_EVERY_S: Final = 0.2
 ENDED: Final = frozenset({"succeeded", "failed", "cancelled"})
 
 
-@router.post("", status_code=202)
+@router.post("/jobs", status_code=202)
 def create_job(
     body: JobRequest,
     caller: Operator,
@@ -54,7 +55,29 @@ def create_job(
     return job
 
 
-@router.get("")
+@router.post("/reprocessings", status_code=202)
+def create_reprocessing(
+    body: ReprocessingBody,
+    caller: Operator,
+    db: Db,
+    queue: Jobs,
+    response: Response,
+    key: KeyHeader = None,
+) -> JobRead:
+    """Queue the calibration of a whole history; the answer is the job that sums it up."""
+    asked = fingerprint("POST reprocessings", body.model_dump_json())
+    with db.write() as session:
+        jobs = JobRepository(session, caller)
+        made = recall(session, caller, key, asked)
+        row = submit_reprocessing(session, caller, body, queue) if made is None else jobs.get(made)
+        remember(session, caller, key, asked, row.id)
+        job = jobs.read([row])[0]
+    queue.announce()
+    response.headers["Location"] = f"/api/v1/jobs/{job.id}"
+    return job
+
+
+@router.get("/jobs")
 def list_jobs(query: Annotated[JobQuery, Query()], caller: Reader, db: Db) -> Page[JobRead]:
     """List the jobs, the newest first."""
     with db.read() as session:
@@ -63,7 +86,7 @@ def list_jobs(query: Annotated[JobQuery, Query()], caller: Reader, db: Db) -> Pa
         return Page(items=jobs.read(rows), next=cursor)
 
 
-@router.get("/{job_id}")
+@router.get("/jobs/{job_id}")
 def get_job(job_id: str, caller: Reader, db: Db) -> JobRead:
     """Show how a job stands."""
     return _look(job_id, caller, db)
@@ -79,7 +102,7 @@ def _known_job(job_id: str, caller: Reader, db: Db) -> JobRead:
     return _look(job_id, caller, db)
 
 
-@router.get("/{job_id}/events", response_class=EventSourceResponse)
+@router.get("/jobs/{job_id}/events", response_class=EventSourceResponse)
 async def follow_job(
     first: Annotated[JobRead, Depends(_known_job)], request: Request, caller: Reader, db: Db
 ) -> AsyncIterator[ServerSentEvent]:
@@ -97,7 +120,7 @@ async def follow_job(
             job = await run_in_threadpool(_look, job.id, caller, db)
 
 
-@router.get("/{job_id}/series", responses=TABLES)
+@router.get("/jobs/{job_id}/series", responses=TABLES)
 def get_series(
     job_id: str, query: Annotated[TableQuery, Query()], request: Request, caller: Reader, db: Db, store: Blobs
 ) -> Response:
@@ -108,7 +131,7 @@ def get_series(
     return table_response(write_table(from_bytes(content), form), form, f"series-{job_id}")
 
 
-@router.post("/{job_id}/cancel", status_code=202)
+@router.post("/jobs/{job_id}/cancel", status_code=202)
 def cancel_job(job_id: str, caller: Operator, db: Db) -> JobRead:
     """Cancel a job: at once if it waits, within a second or so if it runs."""
     with db.write() as session:

@@ -11,6 +11,7 @@ from app.database import DatabaseNow, new_id, utc_now
 from app.errors import ConflictError, NotFoundError, QuotaError
 from app.jobs.kinds import JOB_KINDS
 from app.jobs.port import Queue
+from app.jobs.reprocessing import KIND, cancel_reprocessing, progress_of, settle
 from app.jobs.schemas import JobBody, JobQuery, JobRead
 from app.jobs.tables import Job, JobSession
 from app.keys.repository import Caller, record_event
@@ -105,8 +106,13 @@ class JobRepository:
             .values(cancel_requested=True)
             .execution_options(synchronize_session=False)
         )
-        self.session.execute(stopped)
-        self.session.execute(asked)
+        if job.kind == KIND:
+            cancel_reprocessing(self.session, job_id)
+        else:
+            self.session.execute(stopped)
+            self.session.execute(asked)
+            if job.parent_id is not None:
+                settle(self.session, job.parent_id)
         record_event(self.session, self.caller, "job.cancel", job_id, job.satellite_id)
         self.session.flush()
         self.session.refresh(job)
@@ -118,7 +124,11 @@ class JobRepository:
         links = select(JobSession).where(JobSession.job_id.in_(sessions)).order_by(JobSession.session_id)
         for link in self.session.scalars(links):
             sessions[link.job_id].append(link.session_id)
-        return [_read(job, sessions[job.id]) for job in jobs]
+        return [_read(job, sessions[job.id], self._progress(job)) for job in jobs]
+
+    def _progress(self, job: Job) -> float:
+        is_sum = job.kind == KIND and job.state == "running"
+        return progress_of(self.session, job.id) if is_sum else job.progress
 
     def _within_reach(self) -> ColumnElement[bool]:
         if self.caller.satellites is None:
@@ -127,13 +137,13 @@ class JobRepository:
         return or_(Job.satellite_id.in_(sorted(self.caller.satellites)), own)
 
 
-def _read(job: Job, session_ids: list[str]) -> JobRead:
+def _read(job: Job, session_ids: list[str], progress: float) -> JobRead:
     return JobRead.model_validate(
         {
             "id": job.id,
             "kind": job.kind,
             "state": job.state,
-            "progress": job.progress,
+            "progress": progress,
             "attempts": job.attempts,
             "worker": job.worker,
             "priority": job.priority,

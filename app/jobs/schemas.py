@@ -50,6 +50,16 @@ class CalibrationBody(JobBody, CalibrationOptionsBody):
     session_ids: list[Identifier] = Field(min_length=1, max_length=1000)
 
 
+class ReprocessingBody(CalibrationOptionsBody):
+    """Calibrate a whole history anew: one job for each closed session that fits, under one job that sums them up."""
+
+    satellites: list[Slug] | None = Field(None, min_length=1, max_length=10_000, description="Unset: all in reach.")
+    magnetometer: Slug | None = None
+    since: UtcTime | None = None
+    until: UtcTime | None = None
+    priority: int = Field(-50, ge=-100, le=100, description="Below 0, so that a pass goes first.")
+
+
 class JobRead(Record):
     """A job as it stands."""
 

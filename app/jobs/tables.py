@@ -19,6 +19,7 @@ class Job(Base):
         CheckConstraint("progress >= 0 AND progress <= 1", name="progress"),
         Index(None, "state", "priority", "id"),
         Index(None, "satellite_id", "id"),
+        Index(None, "parent_id", "state"),
     )
 
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
@@ -27,7 +28,7 @@ class Job(Base):
     priority: Mapped[int]
     satellite_id: Mapped[str | None] = mapped_column(ForeignKey("satellite.id"))
     magnetometer_id: Mapped[str | None] = mapped_column(String(63))
-    parent_id: Mapped[str | None] = mapped_column(ForeignKey("job.id"), index=True)
+    parent_id: Mapped[str | None] = mapped_column(ForeignKey("job.id"))
     lock: Mapped[str | None] = mapped_column(String(130))
     request: Mapped[dict[str, object]] = mapped_column(JsonColumn)
     progress: Mapped[float]

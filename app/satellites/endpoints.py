@@ -11,7 +11,15 @@ from app.auth import Operator, Reader
 from app.body import StrictJsonRoute
 from app.resources import Db
 from app.satellites.repository import SatelliteRepository
-from app.satellites.schemas import MagnetometerCreate, MagnetometerRead, Policy, SatelliteCreate, SatelliteRead
+from app.satellites.schemas import (
+    MagnetometerChange,
+    MagnetometerCreate,
+    MagnetometerRead,
+    Policy,
+    SatelliteChange,
+    SatelliteCreate,
+    SatelliteRead,
+)
 from app.satellites.tables import Magnetometer, Satellite
 from app.schemas import Page, PageQuery
 
@@ -72,6 +80,15 @@ def get_satellite(satellite_id: str, caller: Reader, db: Db) -> SatelliteRead:
         return _satellite(row, satellites.magnetometers([row.id])[row.id])
 
 
+@router.patch("/{satellite_id}")
+def change_satellite(satellite_id: str, body: SatelliteChange, caller: Operator, db: Db) -> SatelliteRead:
+    """Change a satellite's name or retention."""
+    with db.write() as session:
+        satellites = SatelliteRepository(session, caller)
+        row = satellites.change(satellite_id, body)
+        return _satellite(row, satellites.magnetometers([row.id])[row.id])
+
+
 @router.post("/{satellite_id}/magnetometers", status_code=201)
 def create_magnetometer(satellite_id: str, body: MagnetometerCreate, caller: Operator, db: Db) -> MagnetometerRead:
     """Register a magnetometer of a satellite."""
@@ -93,3 +110,13 @@ def get_magnetometer(satellite_id: str, magnetometer_id: str, caller: Reader, db
     """Show one magnetometer of a satellite."""
     with db.read() as session:
         return _magnetometer(SatelliteRepository(session, caller).magnetometer(satellite_id, magnetometer_id))
+
+
+@router.patch("/{satellite_id}/magnetometers/{magnetometer_id}")
+def change_magnetometer(
+    satellite_id: str, magnetometer_id: str, body: MagnetometerChange, caller: Operator, db: Db
+) -> MagnetometerRead:
+    """Change a magnetometer's noise or the policy of its calibrations."""
+    with db.write() as session:
+        satellites = SatelliteRepository(session, caller)
+        return _magnetometer(satellites.change_magnetometer(satellite_id, magnetometer_id, body))

@@ -11,7 +11,7 @@ from app.database import utc_now
 from app.errors import ConflictError, NotFoundError
 from app.keys.repository import Caller, record_event
 from app.paging import fetch_page
-from app.satellites.schemas import MagnetometerCreate, SatelliteCreate
+from app.satellites.schemas import MagnetometerChange, MagnetometerCreate, SatelliteChange, SatelliteCreate
 from app.satellites.tables import Magnetometer, Satellite
 from app.schemas import PageQuery
 
@@ -61,6 +61,24 @@ class SatelliteRepository:
         row = Magnetometer(satellite_id=satellite.id, **values, policy=policy, created_at=utc_now())
         self.session.add(row)
         record_event(self.session, self.caller, "magnetometer.create", row.id, satellite.id)
+        return row
+
+    def change(self, satellite_id: str, wanted: SatelliteChange) -> Satellite:
+        """Return the satellite with what ``wanted`` has changed."""
+        row = self.get(satellite_id)
+        for name, value in wanted.model_dump(exclude_unset=True).items():
+            setattr(row, name, value)
+        record_event(self.session, self.caller, "satellite.change", row.id, row.id)
+        return row
+
+    def change_magnetometer(self, satellite_id: str, magnetometer_id: str, wanted: MagnetometerChange) -> Magnetometer:
+        """Return the magnetometer with what ``wanted`` has changed."""
+        row = self.magnetometer(satellite_id, magnetometer_id)
+        if "noise_nt" in wanted.model_fields_set:
+            row.noise_nt = wanted.noise_nt
+        if "policy" in wanted.model_fields_set:
+            row.policy = None if wanted.policy is None else wanted.policy.model_dump(mode="json", exclude_unset=True)
+        record_event(self.session, self.caller, "magnetometer.change", row.id, row.satellite_id)
         return row
 
     def magnetometer(self, satellite_id: str, magnetometer_id: str) -> Magnetometer:

@@ -72,6 +72,20 @@ class SatelliteCreate(Body):
     )
 
 
+class SatelliteChange(Body):
+    """What may change about a spacecraft; what is left out stays."""
+
+    name: Name | None = None
+    retention_days: int | None = Field(None, ge=1, le=100_000)
+
+
+class MagnetometerChange(Body):
+    """What may change about a magnetometer without another meaning of what it has sent; what is left out stays."""
+
+    noise_nt: float | None = Field(None, gt=0)
+    policy: Policy | None = None
+
+
 class SatelliteRead(Record):
     """A spacecraft with its magnetometers."""
 

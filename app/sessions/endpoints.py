@@ -168,7 +168,6 @@ def get_samples(
     form = wanted_format(request, query.format, "json")
     with db.read() as session:
         sessions = SessionRepository(session, caller)
-        sessions.get(session_id)
         columns = sessions.columns(session_id, store)
     samples = samples_of(columns)
     for bound, keeps in ((query.since, np.greater_equal), (query.until, np.less_equal)):

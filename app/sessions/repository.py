@@ -14,7 +14,7 @@ from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
 from app.database import new_id, utc_now
-from app.errors import ConflictError, NotFoundError, QuotaError
+from app.errors import ConflictError, ExpiredError, NotFoundError, QuotaError
 from app.keys.repository import Caller, record_event
 from app.paging import fetch_page
 from app.satellites.repository import within_reach
@@ -175,10 +175,13 @@ class SessionRepository:
         return self.session.scalars(select(Chunk).where(Chunk.session_id == session_id).order_by(Chunk.sequence)).all()
 
     def columns(self, session_id: str, store: Store) -> list[bytes]:
-        """Return the columnar form of a session, chunk by chunk."""
+        """Return the columnar form of a session, chunk by chunk; ExpiredError where it has been removed."""
+        row = self.get(session_id)
+        if row.raw_removed_at is not None:
+            raise ExpiredError("the telemetry is past its satellite's retention and has been removed")
         return [
-            store.get(self.session, columns_key(session_id, chunk.sequence), chunk.columns_sha256)
-            for chunk in self.chunks(session_id)
+            store.get(self.session, columns_key(row.id, chunk.sequence), chunk.columns_sha256)
+            for chunk in self.chunks(row.id)
         ]
 
     def check_day(self, most_bytes: int, declared: int) -> None:

@@ -37,11 +37,11 @@ def upgrade() -> None:
     with op.batch_alter_table("job") as batch_op:
         batch_op.add_column(sa.Column("queue_id", sa.BigInteger(), nullable=True))
     if op.get_bind().dialect.name == "postgresql":
-        op.get_bind().connection.driver_connection.execute(SchemaManager.get_schema())
+        op.get_bind().connection.driver_connection.execute(SchemaManager.get_schema())  # type: ignore[union-attr]
 
 
 def downgrade() -> None:
     if op.get_bind().dialect.name == "postgresql":
-        op.get_bind().connection.driver_connection.execute(DROP)
+        op.get_bind().connection.driver_connection.execute(DROP)  # type: ignore[union-attr]
     with op.batch_alter_table("job") as batch_op:
         batch_op.drop_column("queue_id")

@@ -124,7 +124,8 @@ def test_two_sessions_make_one_parameter_set_and_doubled_samples_count_once(api,
     for sessions in ([session_id], [session_id, half]):
         job = wait(api, calibrate(api, sessions).json()["id"])
         found.append(api.get(f"/parameter-sets/{job['result']['parameter_set_id']}").json())
-    assert found[0]["parameters"] == found[1]["parameters"]
+    for group in ("bias_nt", "scale", "nonorthogonality_deg"):  # the same sums in another order round differently
+        np.testing.assert_allclose(found[0]["parameters"][group], found[1]["parameters"][group], rtol=1e-8)
     assert len(found[1]["provenance"]["inputs"]) == 2
 
 

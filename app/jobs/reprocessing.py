@@ -1,0 +1,143 @@
+"""Bulk reprocessing: one request for the calibrations of a whole history, with a progress of its own.
+
+The request is a job that no worker takes: it runs as long as one of its calibrations does, and ends with the last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from sqlalchemy import exists, func, select, update
+from sqlalchemy.orm import Session
+
+from app.database import DatabaseNow, new_id, utc_now
+from app.errors import ConflictError
+from app.jobs.port import Queue
+from app.jobs.schemas import ReprocessingBody
+from app.jobs.tables import Job, JobSession
+from app.keys.repository import Caller, record_event
+from app.satellites.repository import SatelliteRepository, within_reach
+from app.satellites.tables import Magnetometer
+from app.sessions.tables import TelemetrySession
+from magcal_core.options import CalibrationOptions
+
+KIND: Final = "reprocessing"
+UNENDED: Final = ("queued", "running")
+
+
+def submit_reprocessing(session: Session, caller: Caller, body: ReprocessingBody, queue: Queue) -> Job:
+    """Return the job that sums up a calibration of each session that ``body`` names, all of them enqueued."""
+    options = CalibrationOptions.from_dict(body.options).to_dict()
+    chosen = _sessions(session, caller, body)
+    if not chosen:
+        raise ConflictError("there is no closed session to reprocess")
+    satellites = {row.satellite_id for row in chosen}
+    parent = _job(
+        caller,
+        KIND,
+        body.priority,
+        options,
+        state="running",
+        satellite_id=satellites.pop() if len(satellites) == 1 else None,
+        started_at=utc_now(),
+    )
+    session.add(parent)
+    session.flush()
+    noise_nt = _noise(session)
+    jobs = [
+        _job(
+            caller,
+            "calibration",
+            body.priority,
+            CalibrationOptions.from_dict({"noise_nt": noise_nt[_place(row)]} | body.options).to_dict(),
+            satellite_id=row.satellite_id,
+            magnetometer_id=row.magnetometer_id,
+            parent_id=parent.id,
+        )
+        for row in chosen
+    ]
+    queue.enqueue(session, jobs)
+    session.flush()
+    session.add_all(JobSession(job_id=job.id, session_id=row.id) for job, row in zip(jobs, chosen, strict=True))
+    record_event(session, caller, "job.reprocessing", parent.id, parent.satellite_id)
+    return parent
+
+
+def _sessions(session: Session, caller: Caller, body: ReprocessingBody) -> Sequence[TelemetrySession]:
+    wanted = select(TelemetrySession).where(
+        within_reach(TelemetrySession.satellite_id, caller),
+        TelemetrySession.state == "closed",
+        TelemetrySession.raw_removed_at.is_(None),
+    )
+    if body.satellites is not None:
+        named = [SatelliteRepository(session, caller).get(one).id for one in body.satellites]
+        wanted = wanted.where(TelemetrySession.satellite_id.in_(named))
+    if body.magnetometer is not None:
+        wanted = wanted.where(TelemetrySession.magnetometer_id == body.magnetometer)
+    if body.since is not None:
+        wanted = wanted.where(TelemetrySession.data_until >= body.since)
+    if body.until is not None:
+        wanted = wanted.where(TelemetrySession.data_from <= body.until)
+    return session.scalars(wanted.order_by(TelemetrySession.id)).all()
+
+
+def _place(row: TelemetrySession) -> tuple[str, str]:
+    return row.satellite_id, row.magnetometer_id
+
+
+def _noise(session: Session) -> dict[tuple[str, str], float | None]:
+    rows = session.execute(select(Magnetometer.satellite_id, Magnetometer.id, Magnetometer.noise_nt))
+    return {(satellite_id, magnetometer_id): noise_nt for satellite_id, magnetometer_id, noise_nt in rows}
+
+
+def _job(caller: Caller, kind: str, priority: int, request: dict[str, object], **values: object) -> Job:
+    plain: dict[str, object] = {"state": "queued", "progress": 0.0, "attempts": 0, "lost_attempts": 0}
+    own = {"id": new_id(), "kind": kind, "priority": priority, "request": request, "cancel_requested": False}
+    return Job(**(plain | own | {"created_at": utc_now(), "created_by": caller.key_id} | values))
+
+
+def progress_of(session: Session, parent_id: str) -> float:
+    """Return the share of a reprocessing's calibrations that have ended."""
+    counts = _counts(session, parent_id)
+    total = sum(counts.values())
+    return 1.0 if not total else 1.0 - sum(counts.get(state, 0) for state in UNENDED) / total
+
+
+def _counts(session: Session, parent_id: str) -> dict[str, int]:
+    states = select(Job.state, func.count()).where(Job.parent_id == parent_id).group_by(Job.state)
+    return {str(state): int(count) for state, count in session.execute(states)}
+
+
+def settle(session: Session, parent_id: str) -> None:
+    """End a reprocessing whose last calibration has ended; its result says how they ended."""
+    unended = select(Job.id).where(Job.parent_id == parent_id, Job.state.in_(UNENDED))
+    if session.scalar(select(exists(unended))):
+        return
+    result = {"succeeded": 0, "failed": 0, "cancelled": 0} | _counts(session, parent_id)
+    session.execute(
+        update(Job)
+        .where(Job.id == parent_id, Job.state == "running")
+        .values(state="succeeded", progress=1.0, result=result, finished_at=DatabaseNow())
+        .execution_options(synchronize_session=False)
+    )
+
+
+def cancel_reprocessing(session: Session, parent_id: str) -> None:
+    """Cancel what waits of a reprocessing and ask what runs to stop; the request itself is cancelled at once."""
+    for state, values in (
+        ("queued", {"state": "cancelled", "cancel_requested": True, "finished_at": DatabaseNow()}),
+        ("running", {"cancel_requested": True}),
+    ):
+        session.execute(
+            update(Job)
+            .where(Job.parent_id == parent_id, Job.state == state)
+            .values(values)
+            .execution_options(synchronize_session=False)
+        )
+    session.execute(
+        update(Job)
+        .where(Job.id == parent_id, Job.state == "running")
+        .values(state="cancelled", cancel_requested=True, finished_at=DatabaseNow())
+        .execution_options(synchronize_session=False)
+    )
