@@ -14,7 +14,7 @@ from magcal_core.calibration import ESTIMATORS, FitSettings, Observations
 from magcal_core.orbit.sgp4 import Sgp4Orbit
 from magcal_core.orbit.tle import parse_tles
 from magcal_core.sensor import SensorModel
-from magcal_core.simulate import simulate
+from magcal_core.simulation import simulate
 
 Floats = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ import numpy as np
 from app.demo.mission import SESSIONS, tle_of, tle_text
 from benchmarks.measure import Figure
 from magcal_core.orbit.sgp4 import Sgp4Orbit
-from magcal_core.simulate import simulate
+from magcal_core.simulation import simulate
 from magcal_core.telemetry import write_samples
 
 ROOM: Final = "pages"

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from magcal_core.reference import with_reference as with_reference
     from magcal_core.samples import Samples as Samples
     from magcal_core.sensor import SensorModel as SensorModel
-    from magcal_core.simulate import simulate as simulate
+    from magcal_core.simulation import simulate as simulate
     from magcal_core.telemetry import read_samples as read_samples
 
 _HOME: Final[dict[str, str]] = {
@@ -41,7 +41,7 @@ _HOME: Final[dict[str, str]] = {
     "field_model": "field.models",
     "parse_orbits": "orbit.sources",
     "read_samples": "telemetry",
-    "simulate": "simulate",
+    "simulate": "simulation",
     "with_reference": "reference",
 }
 

@@ -17,7 +17,7 @@ from magcal_core.orbit.frames import gcrf_to_itrf
 from magcal_core.orbit.sgp4 import Sgp4Orbit
 from magcal_core.samples import Samples, Times
 from magcal_core.sensor import SensorModel
-from magcal_core.simulate import Disturbances, Simulation, simulate
+from magcal_core.simulation import Disturbances, Simulation, simulate
 
 Floats = NDArray[np.float64]
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from magcal_core.orbit import Orbit
-    from magcal_core.simulate import Simulation
+    from magcal_core.simulation import Simulation
 
 VECTOR: Final = Numbers(3)
 
@@ -98,7 +98,7 @@ def command(
 
     from magcal_core.field.models import field_model
     from magcal_core.sensor import SensorModel
-    from magcal_core.simulate import DEKART_MOMENTS, Disturbances, simulate
+    from magcal_core.simulation import DEKART_MOMENTS, Disturbances, simulate
     from magcal_core.telemetry import format_of_name
 
     if (tle is None) == (state is None):

@@ -14,7 +14,7 @@ from magcal_core.orbit.tle import Tle, parse_tles
 from magcal_core.sensor import SensorModel
 
 if TYPE_CHECKING:
-    from magcal_core.simulate import Simulation
+    from magcal_core.simulation import Simulation
 
 STEP_S: Final = 10.0
 NOISE_NT: Final = 100.0
@@ -71,7 +71,7 @@ def tle_of(session: Pass) -> Tle:
 
 def simulated(session: Pass, samples: int | None = None) -> Simulation:
     """Return the telemetry of a session, with its truth; ``samples`` cuts it short."""
-    from magcal_core.simulate import Disturbances, simulate
+    from magcal_core.simulation import Disturbances, simulate
 
     count = session.samples if samples is None else samples
     return simulate(

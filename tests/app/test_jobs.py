@@ -90,17 +90,6 @@ def test_a_job_is_accepted_followed_and_leaves_a_parameter_set(api, satellite, s
     assert [one["id"] for one in found["provenance"]["orbits"]] == [orbits[0]["id"]]
 
 
-def test_the_result_comes_within_half_a_second_of_the_request(api, satellite, session_id):
-    """700 samples with an orbit; the best of five, because the machine may be busy with something else."""
-    wait(api, calibrate(api, [session_id]).json()["id"])
-    times = []
-    for _ in range(5):
-        begun = time.perf_counter()
-        wait(api, calibrate(api, [session_id]).json()["id"])
-        times.append(time.perf_counter() - begun)
-    assert min(times) <= 0.5, times
-
-
 def test_events_tell_each_change_and_end_with_the_job(api, session_id):
     job_id = calibrate(api, [session_id]).json()["id"]
     with api.stream("GET", f"/jobs/{job_id}/events") as events:

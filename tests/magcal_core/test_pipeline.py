@@ -15,7 +15,7 @@ from magcal_core.orbit.tle import parse_tles
 from magcal_core.pipeline import calibrate
 from magcal_core.samples import SampleFlag
 from magcal_core.sensor import SensorModel
-from magcal_core.simulate import Disturbances, simulate
+from magcal_core.simulation import Disturbances, simulate
 from magcal_core.telemetry import read_samples
 
 BRO4_COLUMNS = {"time": "ts", "bx": "extmag_0", "by": "extmag_1", "bz": "extmag_2"}

@@ -18,7 +18,7 @@ from magcal_core.calibration.vector import VectorFit
 from magcal_core.errors import NotObservableError, OptionError
 from magcal_core.orbit.sgp4 import Sgp4Orbit
 from magcal_core.sensor import SensorModel, convert
-from magcal_core.simulate import Disturbances, simulate
+from magcal_core.simulation import Disturbances, simulate
 
 # DEKART, Tables 1 and 2 (Trudy MAI 2022, no. 124): first-order parameters as printed.
 TABLE_1 = {

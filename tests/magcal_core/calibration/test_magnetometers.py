@@ -12,7 +12,7 @@ from magcal_core.calibration.magnetometers import CorrectedReadings, compare_mag
 from magcal_core.errors import TooFewSamplesError
 from magcal_core.orbit.sgp4 import Sgp4Orbit
 from magcal_core.sensor import SensorModel
-from magcal_core.simulate import Simulation, simulate
+from magcal_core.simulation import Simulation, simulate
 
 IDEAL = SensorModel(np.zeros(3), np.ones(3), np.zeros(3))
 START = np.datetime64("2022-02-19T22:37:44")

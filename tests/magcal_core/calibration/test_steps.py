@@ -16,7 +16,7 @@ from magcal_core.errors import NotObservableError, OptionError
 from magcal_core.orbit.sgp4 import Sgp4Orbit
 from magcal_core.samples import Samples
 from magcal_core.sensor import SensorModel
-from magcal_core.simulate import Disturbances, simulate
+from magcal_core.simulation import Disturbances, simulate
 
 SENSOR = SensorModel(np.array([2900.0, -1200.0, -1900.0]), np.array([1.03, 1.01, 1.04]), np.array([-4.0, -1.5, 7.0]))
 OFFSET = np.array([420.0, -150.0, 260.0])

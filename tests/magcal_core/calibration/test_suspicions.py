@@ -17,7 +17,7 @@ from magcal_core.orbit.sgp4 import Sgp4Orbit
 from magcal_core.reference import with_reference
 from magcal_core.samples import Samples
 from magcal_core.sensor import SensorModel
-from magcal_core.simulate import Disturbances, Simulation, simulate
+from magcal_core.simulation import Disturbances, Simulation, simulate
 
 START = np.datetime64("2022-02-19T22:37:44")
 DEKART = SensorModel(

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import magcal_core as mc
 from magcal_core.attitude.rotation import attitude_matrix
 from magcal_core.errors import OptionError
 from magcal_core.field.igrf import Igrf
@@ -15,7 +16,7 @@ from magcal_core.orbit.sgp4 import Sgp4Orbit
 from magcal_core.orbit.tle import parse_tles
 from magcal_core.samples import SampleFlag
 from magcal_core.sensor import SensorModel
-from magcal_core.simulate import Disturbances, Simulation, simulate
+from magcal_core.simulation import Disturbances, Simulation, simulate
 from magcal_core.telemetry import read_samples, write_samples
 
 START = np.datetime64("2022-02-19T22:37:44.130")
@@ -179,3 +180,9 @@ def test_disturbances_that_cannot_be_are_refused(options: dict[str, float]) -> N
 def test_a_span_without_samples_or_with_too_many_is_refused(orbit: Sgp4Orbit, duration_s: float, step_s: float) -> None:
     with pytest.raises(OptionError):
         simulate(orbit, DEKART, START, duration_s, step_s)
+
+
+def test_the_public_name_stays_a_function_whatever_was_imported_before() -> None:
+    """A module of the same name would take its place in the package as soon as it is imported."""
+    assert callable(mc.simulate)
+    assert mc.simulate is simulate
