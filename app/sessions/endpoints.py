@@ -32,10 +32,15 @@ TELEMETRY_BODY: Final = {
         "content": {kind: {"schema": {"type": "string", "format": "binary"}} for kind in MEDIA_TYPES},
     }
 }
+COLUMNS: Final = {"type": "object", "additionalProperties": {"type": "array"}}
 TABLES: Final[dict[int | str, dict[str, Any]]] = {
     200: {
         "description": "The table.",
-        "content": {kind: {"schema": {"type": "string"}} for kind, form in MEDIA_TYPES.items() if form in WRITERS},
+        "content": {
+            kind: {"schema": COLUMNS if form == "json" else {"type": "string"}}
+            for kind, form in MEDIA_TYPES.items()
+            if form in WRITERS
+        },
     }
 }
 
