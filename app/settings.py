@@ -27,7 +27,6 @@ class Settings(BaseSettings):
 
     max_upload_mb: PositiveInt = Field(100, description="Largest body of an upload, MB (1e6 bytes).")
     max_decompressed_mb: PositiveInt = Field(512, description="Largest decompressed upload, MiB (2**20 bytes).")
-    max_decompression_ratio: PositiveInt = Field(20, description="Largest ratio after the first 8 MiB.")
     max_rows: PositiveInt = Field(2_000_000, description="Most rows of one upload.")
     max_uploads_at_once: PositiveInt = Field(64, description="Uploads in flight; more are answered 503.")
     max_uploads_per_key: PositiveInt = Field(32, description="Uploads in flight of one key; more are answered 429.")

@@ -12,6 +12,7 @@ from app.jobs.port import Queue
 from app.jobs.repository import JobRepository
 from app.jobs.schemas import CalibrationBody
 from app.keys.repository import Caller
+from app.metrics import UPLOAD_BYTES
 from app.satellites.repository import SatelliteRepository
 from app.satellites.schemas import Policy
 from app.satellites.tables import Magnetometer
@@ -79,6 +80,8 @@ class Ingest:
                 )
                 job_id = self._follow_policy(session, magnetometer, row) if is_new else None
             remember(session, self._caller, key, asked.fingerprint, row.id)
+        if is_new:
+            UPLOAD_BYTES.inc(len(upload.content))
         if job_id is not None:
             self._queue.announce()
         return Kept(row, is_new, job_id)
