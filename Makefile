@@ -41,6 +41,9 @@ format: $(STAMP)  ## let ruff rewrite what it can
 test: system check ## the checks and every test
 	$(BIN)/python -m pytest $(if $(PYTEST_ARGS),$(PYTEST_ARGS),-n 2 --dist loadfile)
 
+faults: $(STAMP)  ## kill, pause and fill real processes; MAGCAL_FAULT_TRIALS=N for more of it
+	$(BIN)/python -m pytest tests/faults
+
 bench: $(STAMP)   ## measure against peers and bare kernels; writes benchmarks/results/
 	$(BIN)/python -m benchmarks
 
