@@ -4,17 +4,26 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import BeforeValidator, Field, StringConstraints, model_validator
+from pydantic import BeforeValidator, Field, StringConstraints, WithJsonSchema, model_validator
 from pydantic_core import PydanticCustomError
 
 from app.jobs.schemas import CalibrationOptionsBody
 from app.schemas import Body, Name, Record, Slug, UtcTime
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
-CatalogId = Annotated[
-    str,
-    BeforeValidator(lambda value: str(value) if type(value) is int else value),
-    StringConstraints(pattern=r"^[A-Z0-9-]{1,16}$"),
+CatalogId = Annotated[str, StringConstraints(pattern=r"^[A-Z0-9-]{1,16}$")]
+NoradId = Annotated[
+    CatalogId,
+    BeforeValidator(lambda value: str(value) if type(value) is int and value >= 0 else value),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"type": "string", "pattern": "^[A-Z0-9-]{1,16}$"},
+                {"type": "integer", "minimum": 0, "maximum": 9_999_999_999_999_999},
+            ]
+        },
+        mode="validation",
+    ),
 ]
 ColumnName = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 
@@ -65,7 +74,7 @@ class SatelliteCreate(Body):
 
     id: Slug
     name: Name | None = None
-    norad_id: CatalogId | None = None
+    norad_id: NoradId | None = None
     cospar_id: CatalogId | None = None
     retention_days: int | None = Field(
         None, ge=1, le=100_000, description="Raw telemetry older than this may be removed, days; unset: kept for ever."
