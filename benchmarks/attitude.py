@@ -51,6 +51,11 @@ def rate(result: RomResult) -> float:
     return float(result.rate_error_deg_s[result.in_last_two_orbits].max())
 
 
+def rate_every_10_s(result: RomResult) -> float:
+    """Return the largest rate error of the output grid that the aims were read on; 0.5 s between the steps."""
+    return float(result.rate_error_deg_s[result.in_last_two_orbits][::20].max())
+
+
 def near(what: str, value: float | None, want: float, unit: str, rel: float = 0.05, *, absolute: float = 0.0) -> Figure:
     """Return a figure that is met within ``rel`` of ``want``, or within ``absolute``."""
     measured = float("nan") if value is None else float(value)
@@ -179,10 +184,14 @@ def accuracy() -> Iterator[Figure]:
         disturbed = fly(**STEADY, **gains, gravity_gradient=True)
         yield near(f"gravity gradient, kp {kp}", arcmin(disturbed), gravity, "arcmin", 0.05)
     noisy = [fly(**STEADY | {"dt_s": 0.5}, noise_nt=100.0, gyro_noise_deg_s=0.001, seed=s) for s in range(5)]
-    yield Figure(
-        "attitude", "noise, median of 5 seeds", float(np.median(list(map(arcmin, noisy)))), "arcmin", "4.0 (one run)"
-    )
-    yield Figure("attitude", "noise, rate error", float(np.median(list(map(rate, noisy)))), "deg/s", "7.7e-4 (one run)")
+    yield from one_run("noise: error, 5 seeds", list(map(arcmin, noisy)), 4.0, "arcmin")
+    yield from one_run("noise: rate error every 10 s, 5 seeds", list(map(rate_every_10_s, noisy)), 7.7e-4, "deg/s")
+
+
+def one_run(what: str, values: list[float], want: float, unit: str) -> Iterator[Figure]:
+    """Yield the median of several seeds, met where the one run of the aim lies among them to 5 %."""
+    is_met = min(values) * 0.95 < want < max(values) * 1.05
+    yield Figure("attitude", what, float(np.median(values)), unit, f"{want:g} (one run)", is_met)
 
 
 def calibration() -> Iterator[Figure]:
