@@ -103,7 +103,7 @@ def restoration() -> Iterator[Figure]:
     ramp = fly(turn=FIGURE_2, ramp_s=2000.0, start_rate="orbital")
     yield from settle("fig. 2, ramp of 2000 s", ramp, None, 2740.0)
     yield Figure(
-        "attitude", "fig. 2, ramp: largest error", ramp.error_deg.max(), "deg", "< 5", ramp.error_deg.max() < 5
+        "attitude", "fig. 2, ramp: largest error", ramp.error_deg.max(), "deg", "< 5", bool(ramp.error_deg.max() < 5)
     )
     printed = fly(turn=FIGURE_2, form="printed", duration_s=40_000.0)
     steady = printed.error_deg[printed.in_last_two_orbits]
@@ -120,7 +120,7 @@ def restoration() -> Iterator[Figure]:
     yield from settle("IGRF-13, i 97.7 deg", polar, 2880.0, 5720.0)
     low = fly(**long | {"inclination_deg": 5.0})
     yield Figure(
-        "attitude", "dipole, i 5 deg: error at 60 000 s", low.error_deg[-1], "deg", "> 10", low.error_deg[-1] > 10
+        "attitude", "dipole, i 5 deg: error at 60 000 s", low.error_deg[-1], "deg", "> 10", bool(low.error_deg[-1] > 10)
     )
     yield from degenerate()
 
