@@ -109,7 +109,7 @@ def _from_orbits(
     models = {TELEMETRY_POSITION} if has_place.any() else set()
     entries = []
     for i, chosen in choice.by_orbit():
-        r_itrf_km[rows[chosen]] = orbits[i].position_itrf_km(t_true[rows[chosen]])
+        r_itrf_km[rows[chosen]] = _positions_km(orbits[i], t_true[rows[chosen]])
         has_place[rows[chosen]] = True
         models.add(orbits[i].model)
         entries.append(_entry(i, orbits[i], choice.age_days[chosen]))
@@ -120,6 +120,17 @@ def _from_orbits(
     report = ReferenceReport("+".join(sorted(models)), tuple(entries), field.name, tuple(warnings))
     cleared = samples.flags & ~np.where(has_place, np.uint16(SampleFlag.NO_REFERENCE), np.uint16(0))
     return _with_field(replace(samples, flags=cleared), t_true, r_itrf_km, has_place, field), report
+
+
+def _positions_km(orbit: Orbit, t_utc: Times) -> Floats:
+    """Return the ITRF positions at ``t_utc``, shape (n, 3), km: a time that is there twice changes no other's.
+
+    Orbits choose by the number of times whether to interpolate, so that each time is asked for once.
+    """
+    if np.all(t_utc[1:] > t_utc[:-1]):
+        return orbit.position_itrf_km(t_utc)
+    times, of_sample = np.unique(t_utc, return_inverse=True)
+    return orbit.position_itrf_km(times)[of_sample]
 
 
 def _entry(index: int, orbit: Orbit, age_days: Floats) -> Mapping[str, object]:

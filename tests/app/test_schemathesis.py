@@ -1,6 +1,7 @@
 """The service under generated requests: every check of schemathesis, calls in a row, two keys.
 
-`MAGCAL_FUZZ_SECONDS` says how long, in all; a minute here, an hour before a release.
+`MAGCAL_FUZZ_SECONDS` says how long, in all; a minute here, an hour before a release. `MAGCAL_FUZZ_SEED` says with which
+requests.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from app.demo.mission import SESSIONS, simulated, tle_text
 from magcal_core.telemetry import write_samples
 
 SECONDS = int(os.environ.get("MAGCAL_FUZZ_SECONDS", "60"))
+SEED = os.environ.get("MAGCAL_FUZZ_SEED", "1")
 NOT_SAID_BY_A_SCHEMA = "positive_data_acceptance"
 """A schema cannot say what makes a checksum right, a cursor ours, or a place one where a field model holds."""
 ENDLESS = r"/events$"
@@ -63,7 +65,7 @@ def fuzz(service, ids: dict[str, str], key: str, seconds: int, folder: Path) -> 
         *(f"{service.url}/openapi.json", "--wait-for-schema", "60", "--request-timeout", "60"),
         *("--header", f"Authorization: Bearer {key}", "--checks", "all", "--exclude-checks", NOT_SAID_BY_A_SCHEMA),
         *("--max-time", seconds, "--continue-on-failure", "--no-shrink", "--warnings", "off"),
-        *("--exclude-path-regex", f"({ENDLESS}|{OWN_KEY})", "--seed", "1"),
+        *("--exclude-path-regex", f"({ENDLESS}|{OWN_KEY})", "--seed", SEED),
     ]
     return subprocess.run(
         [str(word) for word in command], cwd=folder, capture_output=True, check=False, text=True, timeout=seconds + 400
