@@ -19,6 +19,7 @@ from app.database import Database
 from app.documentation import complete
 from app.errors import install_handlers
 from app.field import endpoints as field
+from app.head import HeadRequests
 from app.idempotency import Running
 from app.jobs import endpoints as jobs
 from app.jobs.engine import Engine, open_engine
@@ -71,6 +72,7 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
     complete(app, API, rooms)
     app.state.methods = Methods([("", health.router), ("", pages.router), *((API, room) for room in rooms)])
     install_handlers(app)
+    app.add_middleware(HeadRequests)
     app.add_middleware(RequestLimits)
     app.add_middleware(SecurityHeaders)
     app.add_middleware(RequestLog)

@@ -22,5 +22,6 @@ class Methods:
         ]
 
     def of(self, path: str) -> list[str]:
-        """Return the methods that ``path`` has, in alphabetical order."""
-        return sorted({method for pattern, methods in self._known if pattern.match(path) for method in methods})
+        """Return the methods that ``path`` has, in alphabetical order; GET brings HEAD with it."""
+        known = {method for pattern, methods in self._known if pattern.match(path) for method in methods}
+        return sorted(known | {"HEAD"} if "GET" in known else known)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import signal
 import socket
 import sys
+from types import FrameType
 from typing import Final
 
 import structlog
 import uvicorn
 
 from app.database import Database
+from app.errors import UnavailableError
 from app.logs import configure_logs
 from app.main import create_app
 from app.migrate import make_first_key, upgrade
@@ -57,6 +60,29 @@ def listen(host: str, port: int) -> socket.socket:
     return listener
 
 
+def _run(server: uvicorn.Server, listener: socket.socket) -> None:
+    """Serve until a signal asks to stop; what was asked for and done is no reason to die of that signal.
+
+    uvicorn raises the signals that it took once more when it has ended, for whoever had them before.
+
+    Raises
+    ------
+    UnavailableError
+        The application did not come up.
+    """
+    asked: list[int] = []
+
+    def stop(number: int, _frame: FrameType | None) -> None:
+        asked.append(number)
+        server.should_exit = True
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, stop)
+    server.run(sockets=[listener])
+    if not (server.started or asked):
+        raise UnavailableError("the service did not come up; the log says why")
+
+
 def serve(settings: Settings) -> None:
     """Serve until SIGTERM or SIGINT, then let what is in flight end."""
     configure_logs(settings)
@@ -68,4 +94,4 @@ def serve(settings: Settings) -> None:
     listener = listen(settings.host, settings.port)
     host, port = listener.getsockname()[:2]
     log.info("listening", url=f"http://{host}:{port}")
-    server.run(sockets=[listener])
+    _run(server, listener)

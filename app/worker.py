@@ -22,13 +22,13 @@ log = structlog.get_logger()
 
 def work(settings: Settings, concurrency: int) -> None:
     """Work on jobs until SIGTERM or SIGINT."""
+    asked = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: asked.set())
     configure_logs(settings)
     database = Database(settings)
     upgrade(database, settings)
     engine = open_engine(database, open_store(settings), settings, concurrency)
-    asked = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: asked.set())
     if engine.workers is not None:
         engine.workers.start()
         log.info("working", concurrency=concurrency)

@@ -40,6 +40,39 @@ def test_paths_and_methods_that_are_not_there_are_problems(root):
     assert root.delete("/api/v1/satellites").headers["allow"]
 
 
+@pytest.mark.parametrize(
+    "path", ["/healthz", "/readyz", "/metrics", "/docs", "/", "/api/v1/satellites", "/api/v1/nothing"]
+)
+def test_head_answers_as_get_does_without_the_content(root, api, path):
+    """Status and headers of GET (RFC 9110, 9.3.2); the figures of /metrics grow by the requests that ask for them."""
+    headers = {"authorization": api.headers["authorization"]}
+    with httpx2.Client(base_url=root.base_url, headers=headers, trust_env=False) as client:
+        got, head = client.get(path), client.head(path)
+    assert (head.status_code, head.content) == (got.status_code, b"")
+    varies = {"date", "x-request-id", *(["content-length"] if path == "/metrics" else [])}
+    assert {k: v for k, v in head.headers.items() if k not in varies} == {
+        k: v for k, v in got.headers.items() if k not in varies
+    }
+
+
+def test_head_is_405_where_there_is_no_get_and_needs_the_same_key(root, api):
+    assert root.head("/api/v1/satellites").status_code == 401
+    refused = api.head("/field")
+    assert (refused.status_code, refused.headers["allow"], refused.content) == (405, "POST", b"")
+
+
+def test_head_of_a_stream_of_events_ends_at_its_headers(new_service):
+    """The job waits for ever: only a stream that is not followed ends."""
+    service = new_service(workers=0)
+    with service.client() as api:
+        job = api.post("/jobs", json={"kind": "attitude-simulation", "duration_s": 600}).json()
+        for _ in range(2):
+            answer = api.head(f"/jobs/{job['id']}/events", timeout=20)
+            assert answer.status_code == 200
+            assert answer.headers["content-type"].startswith("text/event-stream")
+        assert api.get(f"/jobs/{job['id']}").json()["state"] == "queued"
+
+
 def test_browsers_are_told_to_do_no_more_than_asked(root):
     headers = root.get("/api/v1/satellites").headers
     assert headers["x-content-type-options"] == "nosniff"

@@ -140,7 +140,8 @@ def test_methods_that_a_path_has_not_are_405_and_name_those_it_has(service, worl
             for method in {"PUT", "PATCH", "DELETE", "TRACE", "POST", "GET", "PROPFIND"} - methods:
                 answer = admin.request(method, url)
                 allowed = {one.strip() for one in answer.headers.get("allow", "").split(",")}
-                if answer.status_code != 405 or not methods <= allowed:
+                served = methods | ({"HEAD"} if "GET" in methods else set())
+                if answer.status_code != 405 or not served <= allowed or (allowed - served and "{" not in path):
                     wrong.append(f"{method} {path}: {answer.status_code} {allowed}")
     assert wrong == []
 
