@@ -119,16 +119,19 @@ def _with_bias(covariance: Floats, centre: Floats, mean_variance: float, wide: i
     return out
 
 
-def reweighted(h_nt: Floats, b_nt: Floats, z: Floats, prior: Floats, robust: str) -> Rows:
+def reweighted(  # noqa: PLR0917
+    h_nt: Floats, b_nt: Floats, z: Floats, prior: Floats, robust: str, near: Rows | None = None
+) -> Rows:
     """Return the rows under a robust loss: the worst of a sample's three residuals decides its weight.
 
-    The convex soft-L1 loss goes first, so that a redescending loss starts next to the right minimum.
+    The convex soft-L1 loss goes first, so that a redescending loss starts next to the right minimum; not so where
+    ``near`` is given, the rows under that loss from nearly the same data.
     """
-    rows = fit_rows(h_nt, b_nt, z, prior)
     if robust == "none":
-        return rows
+        return fit_rows(h_nt, b_nt, z, prior)
+    rows = fit_rows(h_nt, b_nt, z, prior if near is None else near.weights)
     used, floor = prior > 0, 1e-12 * float(np.abs(h_nt).max())
-    for name in dict.fromkeys(("soft_l1", robust)):
+    for name in dict.fromkeys(("soft_l1", robust) if near is None else (robust,)):
         worst, previous, rounds, is_converged = _worst(rows, used, floor), rows, 0, False
         while rounds < _ROUNDS and not is_converged:
             weight, slope = weights_and_slopes(worst, name, 1.0)

@@ -105,7 +105,8 @@ def _with_clock(observations: Observations, z: Standardised, robust: str) -> tup
     for _ in range(_CLOCK_ROUNDS):
         step = np.linalg.solve(*_clock_equations(rows, rates))
         clock = clock + step
-        rows = reweighted(observations.h_nt, b_nt - np.einsum("nmi,m->ni", rates, clock), z.columns, weights, robust)
+        moved_nt = b_nt - np.einsum("nmi,m->ni", rates, clock)
+        rows = reweighted(observations.h_nt, moved_nt, z.columns, weights, robust, near=rows)
         if np.all(np.abs(step) < 1e-9 * np.maximum(1.0, np.abs(clock))):
             break
     return rows, clock
