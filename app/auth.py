@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import hmac
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Coroutine
+from dataclasses import dataclass
 from datetime import datetime
 from threading import Lock
 from typing import Annotated, Final
@@ -15,6 +17,7 @@ from fastapi import Depends, Request
 from fastapi.security import HTTPBearer
 from fastapi.security.utils import get_authorization_scheme_param
 from sqlalchemy.orm import Session
+from starlette.concurrency import run_in_threadpool
 
 from app.database import Database, utc_now
 from app.errors import ScopeRequiredError, TooManyFailuresError, UnauthorizedError
@@ -26,6 +29,8 @@ SAFE_METHODS: Final = frozenset({"GET", "HEAD", "OPTIONS"})
 DUMMY_HASH: Final = secret_hash("")
 WINDOW_S: Final = 60.0
 MOST_SUSPECTS: Final = 10_000
+MOST_RECENT: Final = 1000
+TRUSTED_S: Final = 0.5
 
 bearer = HTTPBearer(auto_error=False, description="A key of `magcal keys create`: `mgc_<id>_<secret>`.")
 
@@ -56,6 +61,49 @@ class FailureLimiter:
                 self._failures[suspect] = [*recent, now][-self._most :]
             while len(self._failures) > MOST_SUSPECTS:
                 self._failures.popitem(last=False)
+
+
+@dataclass(frozen=True, slots=True)
+class _Holder:
+    """What a key stands for, as the database had it at ``seen_s`` of the monotonic clock."""
+
+    seen_s: float
+    key_id: str
+    scopes: frozenset[str]
+    satellites: frozenset[str] | None
+    expires_at: datetime | None
+
+
+class RecentKeys:
+    """Keys that were right a moment ago, so that a burst of requests does not ask the database for each.
+
+    A key that another process revokes is refused after `TRUSTED_S` at the latest.
+    """
+
+    def __init__(self) -> None:
+        self._holders: OrderedDict[bytes, _Holder] = OrderedDict()
+
+    def find(self, key: str) -> _Holder | None:
+        """Return what ``key`` stands for where it was right within `TRUSTED_S` and has not expired since."""
+        found = self._holders.get(_mark(key))
+        if found is None or time.monotonic() - found.seen_s > TRUSTED_S:
+            return None
+        return found if found.expires_at is None or found.expires_at > utc_now() else None
+
+    def note(self, key: str, seen_s: float, row: ApiKey) -> None:
+        """Remember that the database was asked for ``key`` at ``seen_s`` and had it as ``row``."""
+        satellites = None if row.satellites is None else frozenset(row.satellites)
+        self._holders[_mark(key)] = _Holder(seen_s, row.id, frozenset(row.scopes), satellites, row.expires_at)
+        while len(self._holders) > MOST_RECENT:
+            self._holders.popitem(last=False)
+
+    def forget(self) -> None:
+        """Ask the database for every key anew."""
+        self._holders.clear()
+
+
+def _mark(key: str) -> bytes:
+    return hashlib.sha256(key.encode()).digest()
 
 
 def verify_key(session: Session, key: str) -> ApiKey | None:
@@ -98,12 +146,12 @@ def _verify_login(session: Session, request: Request) -> ApiKey | None:
     return row if row is not None and _is_in_force(row, now) else None
 
 
-def authenticate(request: Request, _documented: Annotated[object, Depends(bearer)] = None) -> Caller:
-    """Return the caller that the request's key, or else its login cookie, stands for."""
+def authenticate(request: Request) -> Caller:
+    """Return the caller that the request's key, or else its login cookie, stands for, as the database has it now."""
     database: Database = request.app.state.database
     limiter: FailureLimiter = request.app.state.failures
     scheme, key = get_authorization_scheme_param(request.headers.get("authorization"))
-    address = request.client.host if request.client else "unknown"
+    address, asked_s = _address(request), time.monotonic()
     with database.read() as session:
         if scheme.lower() == "bearer":
             row = verify_key(session, key)
@@ -116,8 +164,25 @@ def authenticate(request: Request, _documented: Annotated[object, Depends(bearer
             limiter.check(*suspects)
             limiter.note(*suspects)
         raise UnauthorizedError
+    if scheme:
+        recent: RecentKeys = request.app.state.recent
+        recent.note(key, asked_s, row)
     satellites = None if row.satellites is None else frozenset(row.satellites)
     return Caller(row.id, frozenset(row.scopes), satellites, address, request.state.request_id)
+
+
+async def identify(request: Request, _documented: Annotated[object, Depends(bearer)] = None) -> Caller:
+    """Return the caller that the request's key stands for, as the database had it `TRUSTED_S` ago at the earliest."""
+    recent: RecentKeys = request.app.state.recent
+    scheme, key = get_authorization_scheme_param(request.headers.get("authorization"))
+    found = recent.find(key) if scheme.lower() == "bearer" else None
+    if found is None:
+        return await run_in_threadpool(authenticate, request)
+    return Caller(found.key_id, found.scopes, found.satellites, _address(request), request.state.request_id)
+
+
+def _address(request: Request) -> str:
+    return request.client.host if request.client else "unknown"
 
 
 def is_still_valid(request: Request) -> bool:
@@ -133,7 +198,7 @@ def require(*scopes: Scope) -> Callable[[Caller], Coroutine[None, None, Caller]]
     """Return a dependency that lets only keys with one of ``scopes`` pass."""
     names = " or ".join(scopes)
 
-    async def check(caller: Annotated[Caller, Depends(authenticate)]) -> Caller:
+    async def check(caller: Annotated[Caller, Depends(identify)]) -> Caller:
         if not caller.may(*scopes):
             raise ScopeRequiredError(f"the key needs the scope {names}")
         return caller

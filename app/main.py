@@ -12,7 +12,7 @@ from fastapi_offline import FastAPIOffline
 from starlette.concurrency import run_in_threadpool
 
 from app import health
-from app.auth import FailureLimiter
+from app.auth import FailureLimiter, RecentKeys
 from app.dashboard import endpoints as displays
 from app.dashboard import pages
 from app.database import Database
@@ -60,6 +60,7 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
     app.state.engine = open_engine(database, store, settings, workers)
     app.state.queue = app.state.engine.queue
     app.state.failures = FailureLimiter(settings.auth_failures_per_minute)
+    app.state.recent = RecentKeys()
     app.state.uploads = Admission(settings.max_uploads_at_once, settings.max_uploads_per_key)
     app.state.running = Running()
     app.include_router(health.router)

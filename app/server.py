@@ -13,6 +13,7 @@ import uvicorn
 
 from app.database import Database
 from app.errors import UnavailableError
+from app.http1 import BoundedHttpProtocol
 from app.logs import configure_logs
 from app.main import create_app
 from app.migrate import make_first_key, upgrade
@@ -44,7 +45,8 @@ def server_of(settings: Settings) -> uvicorn.Server:
         server_header=False,
         date_header=True,
         timeout_graceful_shutdown=30,
-        h11_max_incomplete_event_size=65536,
+        http=BoundedHttpProtocol,
+        ws="none",
     )
     return uvicorn.Server(config)
 

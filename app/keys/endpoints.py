@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Request
 from sqlalchemy import select
 
 from app.auth import Administrator
@@ -44,11 +44,13 @@ def list_keys(query: Annotated[PageQuery, Query()], caller: Administrator, db: D
 
 
 @router.post("/keys/{key_id}/revoke")
-def revoke_key(key_id: str, caller: Administrator, db: Db) -> KeyRead:
-    """Revoke a key from the next request on."""
+def revoke_key(key_id: str, request: Request, caller: Administrator, db: Db) -> KeyRead:
+    """Revoke a key from the next request on, in other processes within a second."""
     _refuse_bound(caller)
     with db.write() as session:
-        return KeyRead.model_validate(KeyRepository(session, caller).revoke(key_id))
+        revoked = KeyRead.model_validate(KeyRepository(session, caller).revoke(key_id))
+    request.app.state.recent.forget()
+    return revoked
 
 
 @router.get("/audit")
