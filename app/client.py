@@ -1,67 +1,56 @@
-"""The Python client: what `magcal push` and `magcal demo` speak, and programs may.
+"""The Python client: what `magcal push`, `magcal report` and `magcal demo` speak, and programs may.
 
-Every call is safe to repeat, so every call is repeated where the network or the service asks for it: uploads are known
-by their bytes, jobs by an Idempotency-Key.
+`Client` blocks, `app.client_async.AsyncClient` awaits; both have the same calls. Every call is safe to repeat, so every
+call is repeated where the network or the service asks for it.
 """
 
 from __future__ import annotations
 
-import base64
-import hashlib
-import random
 import time
-import uuid
-from collections.abc import Callable, Iterator, Mapping
-from pathlib import Path
-from typing import Final, Self
+from types import TracebackType
+from typing import Self
 
 import httpx2
 from pydantic import JsonValue
 
-from magcal_core.errors import MagcalError
-from magcal_core.telemetry import MEDIA_TYPES, format_of_name
+from app.client_requests import (
+    ENDED,
+    LONGEST_POLL_S,
+    POLL_S,
+    TRIES,
+    Call,
+    JobFailedError,
+    Progress,
+    Record,
+    ServiceAnswerError,
+    ServiceUnreachableError,
+    apply_call,
+    calibration_call,
+    creation,
+    is_worth_repeating,
+    media_type_of,
+    orbits_call,
+    pause_s,
+    pieces,
+    progress_of,
+    refusal,
+    result_path,
+    upload_call,
+)
 
-Record = dict[str, JsonValue]
-Progress = Callable[[float], None]
-
-TRIES: Final = 6
-FIRST_PAUSE_S: Final = 0.5
-LONGEST_PAUSE_S: Final = 30.0
-WORTH_REPEATING: Final = frozenset({408, 429, 502, 503, 504})
-PIECE_BYTES: Final = 1 << 18
-ENDED: Final = frozenset({"succeeded", "failed", "cancelled"})
-POLL_S: Final = 0.05
-
-
-class ServiceAnswerError(MagcalError):
-    """The service refused a call; ``code`` and the message are its own."""
-
-    def __init__(self, status: int, problem: Mapping[str, JsonValue]) -> None:
-        faults = problem.get("errors")
-        listed = (
-            [f"{one['where']}: {one['why']}" for one in faults if isinstance(one, dict)]
-            if isinstance(faults, list)
-            else []
-        )
-        super().__init__("; ".join([str(problem.get("detail", f"HTTP {status}")), *listed[:3]]))
-        self.status = status
-        self.code = str(problem.get("code", "http"))  # type: ignore[misc]
-
-
-class ServiceUnreachableError(MagcalError):
-    """The service did not answer, however often it was asked."""
-
-    code = "unreachable"
-
-
-class JobFailedError(MagcalError):
-    """A job ended without a result."""
-
-    code = "job_failed"
+__all__ = [
+    "Client",
+    "JobFailedError",
+    "Progress",
+    "Record",
+    "ServiceAnswerError",
+    "ServiceUnreachableError",
+    "media_type_of",
+]
 
 
 class Client:
-    """A magcal service at ``url``, spoken to with ``key``."""
+    """A magcal service at ``url``, spoken to with ``key``; each call is tried up to ``tries`` times."""
 
     def __init__(self, url: str, key: str, *, tries: int = TRIES, timeout_s: float = 60.0) -> None:
         self._tries = tries
@@ -74,43 +63,31 @@ class Client:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_about: object) -> None:
+    def __exit__(self, *_about: type[BaseException] | BaseException | TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give the connections back."""
         self._http.close()
 
     def create_satellite(self, satellite: str, **about: JsonValue) -> None:
         """Register a satellite; one that is there already is left as it is."""
-        self._create("/satellites", {"id": satellite, **about})
+        self._create(creation("/satellites", {"id": satellite, **about}))
 
     def create_magnetometer(self, satellite: str, magnetometer: str, unit: str, **about: JsonValue) -> None:
         """Register a magnetometer; one that is there already is left as it is."""
-        self._create(f"/satellites/{satellite}/magnetometers", {"id": magnetometer, "unit": unit, **about})
+        self._create(creation(f"/satellites/{satellite}/magnetometers", {"id": magnetometer, "unit": unit, **about}))
 
     def send_orbits(self, satellite: str, text: str, media_type: str = "text/plain") -> list[JsonValue]:
         """Return the orbits that a message became."""
-        answer = self._call(
-            "POST", f"/satellites/{satellite}/orbits", content=text.encode(), headers={"Content-Type": media_type}
-        )
-        items = answer["items"]
+        items = self._record(orbits_call(satellite, text, media_type))["items"]
         return items if isinstance(items, list) else []
 
     def upload(
         self, satellite: str, magnetometer: str, content: bytes, media_type: str, progress: Progress | None = None
     ) -> Record:
         """Return the session that telemetry became; the same bytes are the same session."""
-        digest = base64.b64encode(hashlib.sha256(content).digest()).decode()
-        headers = {
-            "Content-Type": media_type,
-            "Content-Length": str(len(content)),
-            "Content-Digest": f"sha-256=:{digest}:",
-        }
-        return self._call(
-            "POST",
-            f"/satellites/{satellite}/sessions",
-            params={"magnetometer": magnetometer},
-            content=content,
-            headers=headers,
-            progress=progress,
-        )
+        return self._record(upload_call(satellite, magnetometer, content, media_type), progress)
 
     def calibrate(self, session_ids: list[str], progress: Progress | None = None, **options: JsonValue) -> Record:
         """Return the parameter set of a calibration, once its job has ended.
@@ -120,73 +97,70 @@ class Client:
         JobFailedError
             The job failed or was cancelled; the message says why.
         """
-        body = {"kind": "calibration", "session_ids": list[JsonValue](session_ids), **options}
-        job = self._call("POST", "/jobs", json=body, headers={"Idempotency-Key": uuid.uuid4().hex})
+        job = self._record(calibration_call(session_ids, options))
+        poll_s = POLL_S
         while job["state"] not in ENDED:
             if progress is not None:
-                progress(float(str(job["progress"])))
-            time.sleep(POLL_S)
-            job = self._call("GET", f"/jobs/{job['id']}")
-        result, error = job["result"], job["error"]
-        if not isinstance(result, dict):
-            why = error["detail"] if isinstance(error, dict) else job["state"]
-            raise JobFailedError(f"job {job['id']}: {why}")
-        return self._call("GET", f"/parameter-sets/{result['parameter_set_id']}")
+                progress(progress_of(job))
+            time.sleep(poll_s)
+            poll_s = min(1.2 * poll_s, LONGEST_POLL_S)
+            job = self._record(Call("GET", f"/jobs/{job['id']}"))
+        return self._record(Call("GET", result_path(job)))
 
-    def _create(self, path: str, body: Record) -> None:
+    def get(self, path: str, **query: str) -> Record:
+        """Return what ``GET /api/v1{path}`` answers, such as ``/parameter-sets`` or ``/overview``."""
+        return self._record(Call("GET", path, params=query))
+
+    def download(self, path: str, **query: str) -> bytes:
+        """Return the bytes that ``GET /api/v1{path}`` answers: a table, a report, an export."""
+        return self._answer(Call("GET", path, params=query, headers={"Accept": "*/*"})).content
+
+    def apply(
+        self, parameter_set_id: str, content: bytes, media_type: str, *, form: str = "csv", inverse: bool = False
+    ) -> bytes:
+        """Return telemetry corrected with a parameter set, nT; with ``inverse`` raw readings from corrected ones."""
+        return self._answer(apply_call(parameter_set_id, content, media_type, form, inverse=inverse)).content
+
+    def _create(self, call: Call) -> None:
         try:
-            self._call("POST", path, json=body)
+            self._answer(call)
         except ServiceAnswerError as error:
             if error.status != 409:
                 raise
 
-    def _call(
-        self,
-        method: str,
-        path: str,
-        *,
-        content: bytes | None = None,
-        progress: Progress | None = None,
-        **request: object,
-    ) -> Record:
-        """Return the answer's document, after as many tries as it takes."""
-        pause_s = FIRST_PAUSE_S
-        for left in reversed(range(self._tries)):
-            body = content if content is None or progress is None else _pieces(content, progress)
+    def _record(self, call: Call, progress: Progress | None = None) -> Record:
+        document: Record = self._answer(call, progress).json()
+        return document
+
+    def _answer(self, call: Call, progress: Progress | None = None) -> httpx2.Response:
+        """Return the answer to a call, after as many tries as it takes.
+
+        Raises
+        ------
+        ServiceAnswerError
+            The service refused the call.
+        ServiceUnreachableError
+            There was no answer, or none but "not now".
+        """
+        for tried in range(1, self._tries + 1):
+            content = call.content
             try:
-                answer = self._http.request(method, path, content=body, **request)  # type: ignore[arg-type]
+                answer = self._http.request(
+                    call.method,
+                    call.path,
+                    params=dict(call.params),
+                    headers=dict(call.headers),
+                    json=call.json,
+                    content=content if content is None or progress is None else pieces(content, progress),
+                )
             except httpx2.TransportError as error:
-                if not left:
+                if tried == self._tries:
                     raise ServiceUnreachableError(f"{self._http.base_url} does not answer: {error}") from error
-                after = None
-            else:
-                if answer.is_success:
-                    document: Record = answer.json()
-                    return document
-                if answer.status_code not in WORTH_REPEATING or not left:
-                    raise ServiceAnswerError(answer.status_code, _problem(answer))
-                after = answer.headers.get("retry-after")
-            wanted_s = float(after) if after is not None and after.isdigit() else 0.0
-            time.sleep(max(wanted_s, random.uniform(0.5, 1.0) * pause_s))  # noqa: S311  spreads clients, keeps no secret
-            pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
+                time.sleep(pause_s(tried, None))
+                continue
+            if answer.is_success:
+                return answer
+            if not is_worth_repeating(answer) or tried == self._tries:
+                raise refusal(answer)
+            time.sleep(pause_s(tried, answer))
         raise ServiceUnreachableError("no tries were allowed")
-
-
-def _problem(answer: httpx2.Response) -> Mapping[str, JsonValue]:
-    try:
-        document = answer.json()
-    except ValueError:
-        return {}
-    return document if isinstance(document, dict) else {}
-
-
-def _pieces(content: bytes, progress: Progress) -> Iterator[bytes]:
-    for start in range(0, len(content), PIECE_BYTES):
-        yield content[start : start + PIECE_BYTES]
-        progress(min(1.0, (start + PIECE_BYTES) / len(content)))
-
-
-def media_type_of(path: Path) -> str:
-    """Return the media type of a telemetry file by its name; one that its name does not tell is left to its bytes."""
-    form = format_of_name(path)
-    return next((media_type for media_type, name in MEDIA_TYPES.items() if name == form), "application/octet-stream")

@@ -29,6 +29,7 @@ UNSEEN = {
     "print",
     "no_browser",
     "unreachable",
+    "folder_taken",
     "job_failed",
 }
 """Bases, and codes that only a terminal or a log shows."""

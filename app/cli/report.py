@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from app.errors import NotFoundError
-
 if TYPE_CHECKING:
     from app.pointing import ImpactRecord
     from app.records import ParameterSetRecord
@@ -81,26 +79,17 @@ def _of_files(result: Path, residuals: Path | None) -> tuple[ParameterSetRecord,
 def _of_service(
     set_id: str, url: str, key: str | None, pointing: bool
 ) -> tuple[ParameterSetRecord, ResidualTable, ImpactRecord | None]:
-    import httpx2
+    import json
 
+    from app.client import Client
     from app.records import parse_parameter_set
     from app.residual_files import read_residuals
 
     if key is None:
         raise click.UsageError("a service needs a key: --key or MAGCAL_KEY")
-    headers = {"Authorization": f"Bearer {key}"}
-    try:
-        with httpx2.Client(base_url=f"{url.rstrip('/')}/api/v1", headers=headers, timeout=60.0) as service:
-            found = service.get(f"/parameter-sets/{set_id}")
-            table = service.get(f"/parameter-sets/{set_id}/residuals", params={"format": "parquet"})
-            impact = service.get(f"/parameter-sets/{set_id}/pointing") if pointing else None
-    except httpx2.TransportError as error:
-        raise click.ClickException(f"the service at {url} does not answer: {error}") from error
-    for answer in (found, table, impact):
-        if answer is not None and answer.is_error:
-            raise NotFoundError(f"the service at {url} answered {answer.status_code} for parameter set {set_id}")
-    return (
-        parse_parameter_set(found.content),
-        read_residuals(table.content, "parquet"),
-        None if impact is None else impact.json(),
-    )
+    path = f"/parameter-sets/{set_id}"
+    with Client(url, key) as service:
+        record = parse_parameter_set(service.download(path))
+        table = read_residuals(service.download(f"{path}/residuals", format="parquet"), "parquet")
+        impact: ImpactRecord | None = json.loads(service.download(f"{path}/pointing")) if pointing else None
+    return record, table, impact

@@ -1,18 +1,16 @@
 """The examples run as they stand."""
 
 import json
-import os
 import runpy
+import shlex
 import subprocess
-import sys
-import threading
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import httpx2
 import numpy as np
 import pytest
 
+from app.cli.push import command
 from app.dashboard.schemas import HistoryRow
 from app.demo.mission import SESSIONS, simulated, tle_text
 from magcal_core.telemetry import write_samples
@@ -49,54 +47,16 @@ def test_the_notebook_with_a_service_ends_in_a_verdict(service, telemetry, tmp_p
     assert "session" in capsys.readouterr().out
 
 
-class Unavailable(BaseHTTPRequestHandler):
-    """A service that is there and has no time."""
-
-    def do_POST(self) -> None:
-        self.rfile.read(int(self.headers["Content-Length"]))
-        body = json.dumps({"code": "busy", "detail": "busy: try again", "status": 422}).encode()
-        self.send_response(422)
-        self.send_header("Content-Length", str(len(body)))
-        self.end_headers()
-        self.wfile.write(body)
-
-    def log_message(self, *_said: object) -> None:
-        pass
-
-
-def push(folder: Path, satellite: str, url: str, key: str) -> subprocess.CompletedProcess[str]:
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    environment = os.environ | {"PATH": path, "MAGCAL_URL": url, "MAGCAL_KEY": key}
-    command = [EXAMPLES / "push_passes.sh", folder, satellite, "mgm"]
-    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=120)
-
-
-def test_the_station_s_script_loses_nothing_and_sends_nothing_twice(service, api, satellite, telemetry, tmp_path):
-    (tmp_path / "pass-1.csv").write_bytes(telemetry)
-    (tmp_path / "pass-2.csv").write_text("time,bx,by,bz\nyesterday,1,2,3\n")
-    (tmp_path / "pass-3.part").write_bytes(telemetry[:100])
-    key = service.key("ingest", satellites=[satellite])
-    busy = ThreadingHTTPServer(("127.0.0.1", 0), Unavailable)
-    thread = threading.Thread(target=busy.serve_forever)
-    thread.start()
-    try:
-        kept = push(tmp_path, satellite, f"http://127.0.0.1:{busy.server_port}", key)
-    finally:
-        busy.shutdown()
-        thread.join()
-        busy.server_close()
-    assert kept.returncode == 1
-    assert (tmp_path / "pass-1.csv").exists()
-
-    sent = push(tmp_path, satellite, service.url, key)
-    assert sent.returncode == 1, sent.stderr
-    assert sorted(path.name for path in (tmp_path / "sent").iterdir()) == ["pass-1.csv"]
-    assert "time" in (tmp_path / "refused" / "pass-2.csv.why").read_text()
-    assert (tmp_path / "pass-3.part").exists()
-
-    (tmp_path / "sent" / "pass-1.csv").rename(tmp_path / "pass-1.csv")
-    assert push(tmp_path, satellite, service.url, key).returncode == 0
-    assert len(api.get(f"/sessions?satellite={satellite}").json()["items"]) == 1
+def test_the_station_s_unit_calls_the_command_as_it_is():
+    """systemd writes % as %%; the shell splits the instance's name at its colon."""
+    unit = (EXAMPLES / "magcal-push@.service").read_text()
+    line = next(line for line in unit.splitlines() if line.startswith("ExecStart="))
+    program, flag, script, instance = shlex.split(line.removeprefix("ExecStart=").replace("%%", "%"))
+    assert (program, flag, instance) == ("/bin/sh", "-c", "%i")
+    said = script.replace("exec /opt/magcal/bin/magcal", "echo")
+    done = subprocess.run([program, flag, said, "dekart:mgm-1"], capture_output=True, text=True, check=True)
+    assert done.stdout == "push --watch /srv/passes/dekart:mgm-1 --satellite dekart --magnetometer mgm-1\n"
+    assert {option.name for option in command.params} >= {"watch", "satellite", "magnetometer", "url", "key"}
 
 
 def test_every_column_of_the_grafana_dashboard_is_in_the_answer_that_it_asks_for(api):

@@ -1,0 +1,164 @@
+"""What the sync and the async client share: the calls, which answers are worth a repetition, and what refusals become.
+
+Every call here is safe to repeat: uploads are known by their bytes, jobs by an Idempotency-Key, and the rest only reads
+or names what it makes.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import random
+import uuid
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import httpx2
+from pydantic import JsonValue
+
+from magcal_core.errors import MagcalError
+from magcal_core.telemetry import MEDIA_TYPES, format_of_name
+
+Record = dict[str, JsonValue]
+Progress = Callable[[float], None]
+
+TRIES: Final = 6
+FIRST_PAUSE_S: Final = 0.5
+LONGEST_PAUSE_S: Final = 30.0
+WORTH_REPEATING: Final = frozenset({408, 429, 502, 503, 504})
+PIECE_BYTES: Final = 1 << 18
+ENDED: Final = frozenset({"succeeded", "failed", "cancelled"})
+POLL_S: Final = 0.05
+LONGEST_POLL_S: Final = 1.0
+
+
+class ServiceAnswerError(MagcalError):
+    """The service refused a call; ``code`` and the message are its own."""
+
+    def __init__(self, status: int, problem: Mapping[str, JsonValue]) -> None:
+        faults = problem.get("errors")
+        self.faults = (
+            [f"{one['where']}: {one['why']}" for one in faults if isinstance(one, dict)]
+            if isinstance(faults, list)
+            else []
+        )
+        super().__init__("; ".join([str(problem.get("detail", f"HTTP {status}")), *self.faults[:3]]))
+        self.status = status
+        self.code = str(problem.get("code", "http"))  # type: ignore[misc]
+
+
+class ServiceUnreachableError(MagcalError):
+    """The service did not answer, however often it was asked."""
+
+    code = "unreachable"
+
+
+class JobFailedError(MagcalError):
+    """A job ended without a result."""
+
+    code = "job_failed"
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """One call of the service: method, path under /api/v1, and what goes with it."""
+
+    method: str
+    path: str
+    params: Mapping[str, str] = field(default_factory=dict)
+    headers: Mapping[str, str] = field(default_factory=dict)
+    json: JsonValue = None
+    content: bytes | None = None
+
+
+def creation(path: str, body: Record) -> Call:
+    """Return the call that registers something."""
+    return Call("POST", path, json=body)
+
+
+def orbits_call(satellite: str, text: str, media_type: str) -> Call:
+    """Return the call that sends an orbit message."""
+    return Call("POST", f"/satellites/{satellite}/orbits", headers={"Content-Type": media_type}, content=text.encode())
+
+
+def upload_call(satellite: str, magnetometer: str, content: bytes, media_type: str) -> Call:
+    """Return the call that sends telemetry; its digest lets the service refuse what the network has changed."""
+    digest = base64.b64encode(hashlib.sha256(content).digest()).decode()
+    headers = {
+        "Content-Type": media_type,
+        "Content-Length": str(len(content)),
+        "Content-Digest": f"sha-256=:{digest}:",
+    }
+    path = f"/satellites/{satellite}/sessions"
+    return Call("POST", path, params={"magnetometer": magnetometer}, headers=headers, content=content)
+
+
+def calibration_call(session_ids: list[str], options: Record) -> Call:
+    """Return the call that starts a calibration; repeated, it starts none but the first."""
+    body: Record = {"kind": "calibration", "session_ids": list[JsonValue](session_ids), **options}
+    return Call("POST", "/jobs", headers={"Idempotency-Key": uuid.uuid4().hex}, json=body)
+
+
+def apply_call(parameter_set_id: str, content: bytes, media_type: str, form: str, *, inverse: bool) -> Call:
+    """Return the call that corrects telemetry, or with ``inverse`` takes a correction back."""
+    params = {"format": form, "inverse": str(inverse).lower()}
+    headers = {"Content-Type": media_type, "Content-Length": str(len(content)), "Accept": "*/*"}
+    return Call("POST", f"/parameter-sets/{parameter_set_id}/apply", params=params, headers=headers, content=content)
+
+
+def result_path(job: Record) -> str:
+    """Return where the parameter set of an ended job is.
+
+    Raises
+    ------
+    JobFailedError
+        The job failed or was cancelled; the message says why.
+    """
+    result, error = job["result"], job["error"]
+    if not isinstance(result, dict):
+        why = error["detail"] if isinstance(error, dict) else job["state"]
+        raise JobFailedError(f"job {job['id']}: {why}")
+    return f"/parameter-sets/{result['parameter_set_id']}"
+
+
+def progress_of(job: Record) -> float:
+    """Return how much of a job is done, 0 to 1."""
+    return float(str(job["progress"]))
+
+
+def refusal(answer: httpx2.Response) -> ServiceAnswerError:
+    """Return the error that an answer stands for."""
+    try:
+        document = answer.json()
+    except ValueError:
+        document = {}
+    return ServiceAnswerError(answer.status_code, document if isinstance(document, dict) else {})
+
+
+def is_worth_repeating(answer: httpx2.Response) -> bool:
+    """Return whether the service asks for the same call again: it is busy, or still at work on the first one."""
+    status = answer.status_code
+    return status in WORTH_REPEATING or (status == 409 and refusal(answer).code == "in_progress")
+
+
+def pause_s(tried: int, answer: httpx2.Response | None) -> float:
+    """Return how long to wait after ``tried`` attempts, s: doubling, spread at random, at least what is asked for."""
+    after = None if answer is None else answer.headers.get("retry-after")
+    wanted_s = float(after) if after is not None and after.isdigit() else 0.0
+    doubled_s = min(FIRST_PAUSE_S * 2.0 ** (tried - 1), LONGEST_PAUSE_S)
+    return max(wanted_s, random.uniform(0.5, 1.0) * doubled_s)  # noqa: S311  spreads clients, keeps no secret
+
+
+def pieces(content: bytes, progress: Progress) -> Iterator[bytes]:
+    """Yield ``content`` piece by piece, and tell how much of it was taken."""
+    for start in range(0, len(content), PIECE_BYTES):
+        yield content[start : start + PIECE_BYTES]
+        progress(min(1.0, (start + PIECE_BYTES) / len(content)))
+
+
+def media_type_of(path: Path) -> str:
+    """Return the media type of a telemetry file by its name; one that its name does not tell is left to its bytes."""
+    form = format_of_name(path)
+    return next((media_type for media_type, name in MEDIA_TYPES.items() if name == form), "application/octet-stream")
