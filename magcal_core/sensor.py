@@ -276,6 +276,24 @@ def _write_a(gauge: _Gauge) -> dict[str, object]:
     return {"matrix": _a_of(gauge).tolist(), **_sign_entry(gauge)}
 
 
+def _read_on_board(parameters: Mapping[str, object]) -> _Gauge:
+    scale, rotation = _vector(parameters, "scale"), _numbers(parameters, "rotation", (3, 3))
+    diagonal = np.diag(rotation) * scale
+    if not np.all(diagonal) or np.abs(np.triu(rotation, 1)).max() > 1e-12 * np.abs(rotation).max():
+        raise OptionError(
+            "rotation: want a lower-triangular matrix, and no scale of zero", [Fault("rotation", "not so")]
+        )
+    model = SensorModel.from_matrix(_vector(parameters, "bias_nt"), inverse_lower(np.tril(rotation) * scale))
+    signs = np.sign(diagonal)
+    return _Gauge(model.bias_nt, model.matrix * signs, signs)
+
+
+def _write_on_board(gauge: _Gauge) -> dict[str, object]:
+    # T^-1 = P^-1 diag(1/k): the gains of the channels first, then their directions.
+    scale, _ = parameters_of_matrix(gauge.matrix)
+    return {"scale": (1.0 / scale).tolist(), "rotation": inverse_lower(gauge.matrix / scale[:, None]).tolist()}
+
+
 _Reader = Callable[[Mapping[str, object]], _Gauge]
 _Writer = Callable[[_Gauge], dict[str, object]]
 
@@ -286,17 +304,27 @@ CONVENTIONS: Final[Mapping[str, tuple[_Reader, _Writer]]] = MappingProxyType(
         "symmetric": (_read_symmetric, _write_symmetric),
         "lower-triangular": (_read_lower, _write_lower),
         "a-matrix": (_read_a, _write_a),
+        "on-board": (_read_on_board, _write_on_board),
     }
 )
 """Convention -> how its parameters are read and written.
 
 ``exact``: ``scale``, ``nonorthogonality_deg`` of the model above. ``first-order``: the same names, [DEKART]_'s
 first-order A. ``symmetric``: ``matrix`` = (T T^T)^1/2. ``lower-triangular``: ``matrix`` = T. ``a-matrix``: ``matrix`` =
-A = T^-T T^-1. Every one has ``bias_nt``; where a scale factor is negative, those that |B| determines carry
-``axis_signs``.
+A = T^-T T^-1. ``on-board``: ``scale`` = 1/k, to multiply with, and ``rotation`` = P^-1: the corrected reading is
+rotation diag(scale) (h - b). Every one has ``bias_nt``; where a scale factor is negative, those that |B| determines
+carry ``axis_signs``.
 """
 
-_OWN_KEYS: Final[Sequence[str]] = ("bias_nt", "scale", "nonorthogonality_deg", "matrix", "axis_signs", "convention")
+_OWN_KEYS: Final[Sequence[str]] = (
+    "bias_nt",
+    "scale",
+    "nonorthogonality_deg",
+    "matrix",
+    "rotation",
+    "axis_signs",
+    "convention",
+)
 
 
 def convert(parameters: Mapping[str, object], source: str, target: str) -> dict[str, object]:

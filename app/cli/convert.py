@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 EXACT: Final = "exact"
-CONVENTION_LIST: Final = "exact, first-order, symmetric, lower-triangular or a-matrix"
+CONVENTION_LIST: Final = "exact, first-order, symmetric, lower-triangular, a-matrix or on-board"
 
 
 @click.command("convert")

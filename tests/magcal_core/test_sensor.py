@@ -77,6 +77,14 @@ def test_every_pair_of_conventions_round_trips(first, second):
         np.testing.assert_allclose(back[name], value, rtol=1e-12, atol=1e-15, err_msg=name)
 
 
+@given(parameters=sensors)
+def test_the_on_board_table_corrects_as_the_sensor_model_does(parameters):
+    h_nt = np.array([[30000.0, -20000.0, 10000.0], [5000.0, 42000.0, -9000.0], [-45000.0, 0.0, 300.0]])
+    table = convert(parameters, "exact", "on-board")
+    corrected_nt = (np.array(table["scale"]) * (h_nt - np.array(table["bias_nt"]))) @ np.array(table["rotation"]).T
+    np.testing.assert_allclose(corrected_nt, SensorModel(**parameters).correct(h_nt), rtol=1e-11, atol=1e-6)
+
+
 @pytest.mark.parametrize("target", ["symmetric", "lower-triangular", "a-matrix"])
 @given(parameters=sensors)
 def test_conventions_agree_on_the_magnitude(target, parameters):

@@ -12,7 +12,7 @@ from app.cli.main import magcal
 TABLE_1 = {"bias_nt": [2928.125, -1191.25, -1875.625], "scale": [1.032695, 1.006685, 1.032875]} | {
     "nonorthogonality_deg": [-4.53, -1.067, 7.915]
 }
-CONVENTIONS = ["exact", "first-order", "symmetric", "lower-triangular", "a-matrix"]
+CONVENTIONS = ["exact", "first-order", "symmetric", "lower-triangular", "a-matrix", "on-board"]
 
 
 def convert(*args: str, stdin: str | None = None) -> Result:
