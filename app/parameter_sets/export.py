@@ -6,14 +6,18 @@ import csv
 import io
 import json
 import re
+import textwrap
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict
 from typing import Final
 
+import numpy as np
 import yaml
 
 from app.parameter_sets.schemas import ParameterSetRead
+from app.parameter_sets.worked import COLUMN, formula, rotation_of_symmetric, worked
 from app.schemas import utc_text
-from magcal_core.sensor import convert
+from magcal_core.sensor import SensorModel, convert
 
 Document = Mapping[str, object]
 
@@ -26,7 +30,11 @@ def exported(record: ParameterSetRead, convention: str, form: str) -> tuple[str,
     OptionError
         The convention is unknown.
     """
-    parameters = convert(record.parameters.model_dump(), "exact", convention)
+    exact = record.parameters.model_dump()
+    parameters = convert(exact, "exact", convention)
+    if convention == "symmetric":
+        parameters["rotation"] = rotation_of_symmetric(record.correction_matrix, parameters["matrix"])
+    sensor = SensorModel(*(np.array(exact[name]) for name in ("bias_nt", "scale", "nonorthogonality_deg")))
     document = {
         "id": record.id,
         "satellite": record.satellite,
@@ -38,8 +46,13 @@ def exported(record: ParameterSetRead, convention: str, form: str) -> tuple[str,
         "field_model": record.field_model,
         "verdict": record.verdict.grade,
         "convention": convention,
+        "formula": formula(convention, list(exact["regressors"])),
         "parameters": parameters,
         "correction_matrix": record.correction_matrix,
+        "worked_example": {
+            "regressors": dict.fromkeys(exact["regressors"], COLUMN),
+            **asdict(worked(sensor, exact["regressors"])),
+        },
     }
     media_type, write = EXPORTERS[form]
     return media_type, write(document)
@@ -78,13 +91,20 @@ def _leaves(name: str, value: object) -> Iterator[tuple[str, object]]:
 
 def _c_header(document: Document) -> str:
     guard = f"MAGCAL_{_macro(document['satellite'])}_{_macro(document['magnetometer'])}_H"
-    about = [f" * {name}: {document[name]}" for name in document if isinstance(document[name], str)]
+    told = {name: value for name, value in document.items() if isinstance(value, str)}
+    about = [f" * {name}: {value.replace('*/', '* /').replace('/*', '/ *')}" for name, value in told.items()]
     parameters = document["parameters"]
     arrays = dict(parameters) if isinstance(parameters, Mapping) else {}
     arrays["correction_matrix"] = document["correction_matrix"]
+    arrays["worked"] = document["worked_example"]
     lines = [
-        "/* magcal parameter set: corrected = correction_matrix * (raw - bias_nt), nT.",
-        *about,
+        "/* magcal parameter set.",
+        *(
+            line
+            for text in about
+            for line in textwrap.wrap(text, 110, subsequent_indent=" *   ", break_long_words=False)
+        ),
+        " * MAGCAL_WORKED_RAW_NT put through the formula gives MAGCAL_WORKED_CORRECTED_NT.",
         " */",
         f"#ifndef {guard}",
         f"#define {guard}",

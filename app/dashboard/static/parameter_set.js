@@ -4,7 +4,7 @@ import { differenceTable, parameterTable, statisticsTable } from "./parameters.j
 import { plot } from "./plot.js";
 
 const id = location.pathname.split("/")[2];
-const CONVENTIONS = ["exact", "first-order", "symmetric", "lower-triangular", "a-matrix"];
+const CONVENTIONS = ["exact", "first-order", "symmetric", "lower-triangular", "a-matrix", "on-board"];
 
 async function activeOf(record) {
   const query = `satellite=${record.satellite}&magnetometer=${record.magnetometer}&status=active&limit=1`;
