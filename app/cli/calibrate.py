@@ -52,6 +52,8 @@ def _telemetry_options(function: F) -> F:
                      help="Share of samples without a reading or reference that is still accepted."),
         click.option("--any-field", is_flag=True,
                      help="Do not check the unit by |B| in low Earth orbit: other orbits, laboratory data."),
+        click.option("--corrected-with", type=INPUT_FILE,
+                     help="Parameter set that the satellite corrected the readings with; it is taken back first."),
     ])  # fmt: skip
 
 
@@ -106,6 +108,7 @@ def command(
     time_scale: str,
     max_bad_fraction: float,
     any_field: bool,
+    corrected_with: Path | None,
     as_json: bool,
     residuals: Path | None,
     output: Path | None,
@@ -123,6 +126,8 @@ def command(
         raise click.UsageError(f"{residuals}: the ending tells no format; use .csv, .ndjson, .json or .parquet")
     reading = Reading(unit, columns, kind, range_nt, time_scale, max_bad_fraction, not any_field)
     samples, inputs = _read_all(telemetry, reading)
+    if corrected_with is not None:
+        samples = _uncorrected(samples, corrected_with, inputs)
     orbits = [orbit for path in (*tle, *state, *orbit_file) for orbit in orbits_of_file(path)]
     with LateProgress("calibrating") as progress:
         calibration = calibrate(samples, orbits, options, progress=progress)
@@ -184,6 +189,24 @@ def _read_all(paths: tuple[Path, ...], reading: Reading) -> tuple[Samples, list[
         parts.append(telemetry.samples)
         inputs.append({"name": path.name, "sha256": digest, "quality": telemetry.quality.to_dict()})
     return merge_samples(parts), inputs
+
+
+def _uncorrected(samples: Samples, path: Path, inputs: list[dict[str, object]]) -> Samples:
+    """Return the raw readings of samples that the parameter set in ``path`` has corrected, and note it at their inputs.
+
+    Raises
+    ------
+    InputError
+        The file is not a parameter set, or the samples lack one of its regressors.
+    """
+    from app.parameter_sets.correction import Correction
+    from app.records import parse_parameter_set
+
+    content = path.read_bytes()
+    correction = Correction.of(parse_parameter_set(content))
+    for one in inputs:
+        one["corrected_with_sha256"] = hashlib.sha256(content).hexdigest()
+    return correction.unapply(samples)
 
 
 def _options(asked: Mapping[str, object]) -> CalibrationOptions:

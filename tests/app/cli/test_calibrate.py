@@ -1,8 +1,10 @@
 """`magcal calibrate`: files in, parameter set out, with the exit statuses that scripts rely on."""
 
+import hashlib
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from app.cli.main import magcal
+from magcal_core.sensor import SensorModel
 from magcal_core.telemetry import read_samples, write_samples
 
 PLAIN = ["--robust", "none", "--noise-model", "none"]
@@ -164,6 +167,32 @@ def test_residuals_and_the_parameter_set_go_to_files(nominal: Path, tmp_path: Pa
 )
 def test_wrong_usage_ends_with_status_two(wrong: list[str], nominal: Path) -> None:
     assert calibrate(nominal, *wrong).exit_code == 2
+
+
+def test_an_on_board_correction_is_taken_back_before_the_fit(nominal: Path, tmp_path: Path) -> None:
+    """The parameters that the raw readings give, to rounding, and not the identity that the corrected ones give."""
+    direct = parameter_set(nominal)
+    old = SensorModel([2500.0, -1000.0, -1500.0], [1.02, 1.01, 1.03], [-4.0, -1.0, 7.0])
+    document = direct | {
+        "parameters": {
+            "bias_nt": old.bias_nt.tolist(),
+            "scale": old.scale.tolist(),
+            "nonorthogonality_deg": old.nonorthogonality_deg.tolist(),
+            "time_offset_s": None,
+            "regressors": {},
+        }
+    }
+    (tmp_path / "old.json").write_text(json.dumps(document))
+    raw = read_samples(nominal)
+    corrected = tmp_path / "corrected.csv"
+    corrected.write_bytes(write_samples(replace(raw, h_nt=old.correct(raw.h_nt)), "csv"))
+    found = parameter_set(corrected, "--corrected-with", tmp_path / "old.json")
+    for name in ("bias_nt", "scale", "nonorthogonality_deg"):
+        np.testing.assert_allclose(found["parameters"][name], direct["parameters"][name], rtol=1e-6, err_msg=name)
+    untouched = parameter_set(corrected)["parameters"]
+    assert abs(untouched["bias_nt"][0] - direct["parameters"]["bias_nt"][0]) > 1000.0
+    inputs = found["provenance"]["inputs"]
+    assert inputs[0]["corrected_with_sha256"] == hashlib.sha256((tmp_path / "old.json").read_bytes()).hexdigest()
 
 
 def run_magcal(*args: object) -> subprocess.CompletedProcess[str]:
