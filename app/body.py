@@ -10,6 +10,8 @@ from fastapi import HTTPException, Request, Response
 from fastapi.routing import APIRoute
 from pydantic import JsonValue
 
+from app.retry import retried_async
+
 MAX_JSON_BYTES: Final = 4 << 20
 MAX_DEPTH: Final = 32
 MAX_MEMBERS: Final = 1000
@@ -56,16 +58,22 @@ class StrictJsonRequest(Request):
         document: JsonValue = self._json
         return document
 
+    @property
+    def is_repeatable(self) -> bool:
+        """Whether the request can be handled once more: its body has not been streamed away."""
+        return hasattr(self, "_body") or not self._stream_consumed
+
 
 class StrictJsonRoute(APIRoute):
-    """A route that reads JSON strictly."""
+    """A route that reads JSON strictly, and tries again where its transaction loses against another."""
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         """Return the route's handler over strict requests."""
         handler = super().get_route_handler()
 
         async def handle(request: Request) -> Response:
-            return await handler(StrictJsonRequest(request.scope, request.receive))
+            strict = StrictJsonRequest(request.scope, request.receive)
+            return await retried_async(lambda: handler(strict), lambda: strict.is_repeatable)
 
         return handle
 

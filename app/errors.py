@@ -11,11 +11,12 @@ import structlog
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
-from sqlalchemy.exc import InterfaceError, OperationalError
+from sqlalchemy.exc import DBAPIError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
 from typing_extensions import TypedDict
 
+from app.retry import AWAY, is_contention
 from magcal_core.errors import EstimationError, InputError, MagcalError, PropagationError
 
 log = structlog.get_logger()
@@ -248,7 +249,7 @@ def install_handlers(app: FastAPI) -> None:
     app.add_exception_handler(MagcalError, _magcal_error)
     app.add_exception_handler(RequestValidationError, _validation_error)
     app.add_exception_handler(HTTPException, _http_error)
-    for kind in (OperationalError, InterfaceError, PoolTimeoutError):
+    for kind in (DBAPIError, PoolTimeoutError):
         app.add_exception_handler(kind, _database_error)
     app.add_exception_handler(Exception, _unexpected_error)
 
@@ -306,7 +307,10 @@ def _http_error(request: Request, error: Exception) -> JSONResponse:
     return problem_response(body, headers)
 
 
-def _database_error(_request: Request, error: Exception) -> JSONResponse:
+def _database_error(request: Request, error: Exception) -> JSONResponse:
+    is_cut = isinstance(error, DBAPIError) and error.connection_invalidated
+    if not (is_cut or isinstance(error, AWAY) or is_contention(error)):
+        return _unexpected_error(request, error)
     text = str(getattr(error, "orig", error))
     log.warning("database_unavailable", error=text)
     if "disk is full" in text or "No space left" in text:

@@ -26,8 +26,9 @@ from sqlalchemy.orm import Session
 from app.database import Database, DatabaseNow
 from app.errors import UnavailableError
 from app.jobs.claims import Claim, bury_lost, claim_one
-from app.jobs.execute import Executor
+from app.jobs.execute import PATIENCE_S, Executor
 from app.jobs.tables import Job
+from app.retry import outlasting
 from app.settings import Settings
 from app.store import Store
 
@@ -151,7 +152,7 @@ class ClusterWorkers:
         await asyncio.to_thread(self._attempt, job_id)
 
     def _attempt(self, job_id: str) -> None:
-        claim = self._claim(job_id)
+        claim = outlasting(lambda: self._claim(job_id), PATIENCE_S, self._stopping.wait)
         if claim is None:
             return
         executor = self._free.get()

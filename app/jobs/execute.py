@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Final
+from collections.abc import Callable
+from typing import Final, TypeVar
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
@@ -14,18 +15,23 @@ from app.database import Database
 from app.errors import Problem, problem, problem_of
 from app.jobs.child import Failure, Outcome, Task
 from app.jobs.claims import Claim, LostClaimError, finish, hand_back, is_cancelled, renew
+from app.jobs.kind import JobKind
 from app.jobs.kinds import JOB_KINDS
 from app.jobs.port import Queue
 from app.jobs.supervisor import AbandonedError, Calculator, ChildDiedError, TimedOutError
 from app.jobs.tables import Job
 from app.metrics import JOB_SECONDS
+from app.retry import AWAY, outlasting
 from app.settings import Settings
 from app.store import Store
 from magcal_core.errors import MagcalError
 
 log = structlog.get_logger()
 
+Result = TypeVar("Result")
 CANCEL_CHECK_S: Final = 0.5
+PATIENCE_S: Final = 60.0
+"""A result waits so long for a database that is away; then the job is another attempt's."""
 INTERNAL: Final = problem(500, "internal", "the job failed unexpectedly; the log has it under the job's id")
 
 
@@ -53,6 +59,9 @@ class Executor:
                 state = self._attempt(claim)
             except LostClaimError:
                 state = "lost"
+            except AWAY as error:
+                log.warning("database_lost", error=str(error))
+                state = "lost"  # the lease runs out and another attempt takes the job over
             except Exception:  # the worker's loop: an unforeseen error ends the job, not the worker
                 log.exception("job_error")
                 state = self._fail_if_possible(claim)
@@ -70,8 +79,7 @@ class Executor:
         kind = JOB_KINDS[claim.kind]
         watch = _Watch(self._database, claim, self._settings, self._closing)
         try:
-            with self._database.read() as session:
-                work = kind.load(session, self._store, session.get_one(Job, claim.job_id))
+            work = self._outlasting(lambda: self._load(claim, kind))
             found = self.calculator.run(Task(kind.function, work), self._settings.job_timeout_s, watch)
         except AbandonedError:
             return self._abandon(claim, watch)
@@ -85,7 +93,15 @@ class Executor:
             if found.trace is not None:
                 log.error("calculation_error", trace=found.trace)
             return self._fail(claim, found.problem)
-        return self._keep(claim, found)
+        return self._outlasting(lambda: self._keep(claim, found))
+
+    def _outlasting(self, work: Callable[[], Result]) -> Result:
+        """Return what ``work`` returns, however often the database loses it or goes away meanwhile."""
+        return outlasting(work, PATIENCE_S, self._closing.wait)
+
+    def _load(self, claim: Claim, kind: JobKind) -> object:
+        with self._database.read() as session:
+            return kind.load(session, self._store, session.get_one(Job, claim.job_id))
 
     def _keep(self, claim: Claim, found: Outcome) -> str:
         with self._database.write() as session:
@@ -95,9 +111,12 @@ class Executor:
         return "succeeded"
 
     def _fail(self, claim: Claim, why: Problem) -> str:
-        with self._database.write() as session:
-            finish(session, claim, "failed", error=why)
-        return "failed"
+        def end() -> str:
+            with self._database.write() as session:
+                finish(session, claim, "failed", error=why)
+            return "failed"
+
+        return self._outlasting(end)
 
     def _abandon(self, claim: Claim, watch: _Watch) -> str:
         if not watch.is_held:
@@ -139,14 +158,24 @@ class _Watch:
         self.is_cancelled = False
 
     def __call__(self, progress: float) -> bool:
+        try:
+            self._look(progress)
+        except AWAY as error:
+            # Nobody else can take the job over meanwhile; whether they did is told when the database is back.
+            log.warning("database_away", error=str(error))
+            self._checked_at = time.monotonic()
+        return self.is_held and not self.is_cancelled and not self._closing.is_set()
+
+    def _look(self, progress: float) -> None:
         now = time.monotonic()
+        if now - self._checked_at < min(CANCEL_CHECK_S, self._settings.job_heartbeat_s):
+            return
         if now - self._renewed_at >= self._settings.job_heartbeat_s:
             with self._database.write() as session:
                 renewal = renew(session, self._claim, self._settings.job_lease_s, progress)
             self.is_held, self.is_cancelled = renewal.is_held, renewal.is_cancelled
-            self._renewed_at = self._checked_at = now
-        elif now - self._checked_at >= CANCEL_CHECK_S:
+            self._renewed_at = now
+        else:
             with self._database.read() as session:
                 self.is_cancelled = is_cancelled(session, self._claim)
-            self._checked_at = now
-        return self.is_held and not self.is_cancelled and not self._closing.is_set()
+        self._checked_at = now

@@ -81,7 +81,7 @@ class Calculator:
             return self._listen(self._connection, timeout_s, watch)
         except (EOFError, ConnectionError, BrokenPipeError):
             raise ChildDiedError(f"the calculation's process died, {self._obituary()}") from None
-        except ServiceError:
+        except BaseException:  # whatever it was, this child must not answer the next task with this one's result
             self.kill()
             raise
 

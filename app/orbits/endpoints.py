@@ -17,6 +17,7 @@ from app.orbits.repository import OrbitRepository
 from app.orbits.schemas import OrbitDetail, OrbitList, OrbitQuery, OrbitRead
 from app.orbits.tables import OrbitRow
 from app.resources import Config, Db
+from app.retry import retried
 from app.schemas import Page
 from app.sessions.upload import receive
 
@@ -67,8 +68,12 @@ def _require(satellite_id: str, caller: Caller, db: Db) -> None:
 
 def _keep(satellite_id: str, body: bytes, media_type: str, caller: Caller, db: Db) -> tuple[OrbitList, bool]:
     parsed = parse_message(body, media_type)
-    with db.write() as session:
-        rows, is_any_new = OrbitRepository(session, caller, satellite_id).add(parsed)
+
+    def add() -> tuple[list[OrbitRow], bool]:
+        with db.write() as session:
+            return OrbitRepository(session, caller, satellite_id).add(parsed)
+
+    rows, is_any_new = retried(add)
     return OrbitList(items=[_read(row) for row in rows]), is_any_new
 
 

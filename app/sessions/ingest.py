@@ -13,6 +13,7 @@ from app.jobs.repository import JobRepository
 from app.jobs.schemas import CalibrationBody
 from app.keys.repository import Caller
 from app.metrics import UPLOAD_BYTES
+from app.retry import retried
 from app.satellites.repository import SatelliteRepository
 from app.satellites.schemas import Policy
 from app.satellites.tables import Magnetometer
@@ -71,20 +72,24 @@ class Ingest:
         if found is not None and key is None:
             return Kept(found, is_new=False)
         parsed = self._parsed(magnetometer, upload, may_be_empty=query.open) if found is None else None
+        kept = retried(lambda: self._commit(asked, magnetometer, parsed))
+        if kept.is_new:
+            UPLOAD_BYTES.inc(len(upload.content))
+        if kept.job_id is not None:
+            self._queue.announce()
+        return kept
+
+    def _commit(self, asked: _Asked, magnetometer: Magnetometer, parsed: Parsed | None) -> Kept:
         with self._database.write() as session:
             row = self._find(session, asked)
             is_new, job_id = False, None
             if row is None:
                 row, is_new = SessionRepository(session, self._caller).create(
-                    satellite_id, magnetometer.id, parsed, self._store, is_open=query.open
+                    asked.satellite_id, magnetometer.id, parsed, self._store, is_open=asked.query.open
                 )
                 job_id = self._follow_policy(session, magnetometer, row) if is_new else None
-            remember(session, self._caller, key, asked.fingerprint, row.id)
-        if is_new:
-            UPLOAD_BYTES.inc(len(upload.content))
-        if job_id is not None:
-            self._queue.announce()
-        return Kept(row, is_new, job_id)
+            remember(session, self._caller, asked.key, asked.fingerprint, row.id)
+            return Kept(row, is_new, job_id)
 
     def append(self, session_id: str, upload: Upload) -> TelemetrySession:
         """Return the session ``session_id`` with a further chunk."""
@@ -94,13 +99,16 @@ class Ingest:
                 row.satellite_id, row.magnetometer_id
             )
         parsed = self._parsed(magnetometer, upload, may_be_empty=False)
+        return retried(lambda: self._add(session_id, parsed))
+
+    def _add(self, session_id: str, parsed: Parsed | None) -> TelemetrySession:
         with self._database.write() as session:
             sessions = SessionRepository(session, self._caller)
             row = sessions.get(session_id)
             session.refresh(row, with_for_update=True)
             if parsed is not None:
                 sessions.append(row, parsed, self._store)
-        return row
+            return row
 
     def close(self, session_id: str) -> Kept:
         """Return the session ``session_id``, closed, and the job that its magnetometer's policy queues."""

@@ -83,6 +83,12 @@ class Site:
             time.sleep(0.05)
         return process
 
+    def magcal(self, *command: str) -> subprocess.CompletedProcess[str]:
+        """Return how a command of the site's operator ended."""
+        words = [sys.executable, str(LAUNCH), *command]
+        environment = os.environ | self.environment
+        return subprocess.run(words, env=environment, capture_output=True, check=False, text=True)
+
     def client(self, url: str) -> httpx2.Client:
         headers = {"Authorization": f"Bearer {self.admin_key}"}
         return httpx2.Client(base_url=f"{url}/api/v1", headers=headers, timeout=60.0, trust_env=False)
