@@ -17,13 +17,14 @@ class BoundedHttpProtocol(HttpToolsProtocol):
 
     _is_in_head = True
     _head_bytes = 0
+    _ended = 0
 
     def data_received(self, data: bytes) -> None:
         """Take what the socket brings; the end of one request and the beginning of the next may come together."""
-        was_in_head = self._is_in_head
+        was_in_head, ended = self._is_in_head, self._ended
         super().data_received(data)
         if self._is_in_head:
-            self._head_bytes += len(data) if was_in_head else 0
+            self._head_bytes += len(data) if was_in_head and ended == self._ended else 0
             if self._head_bytes > MOST_HEAD_BYTES and not self.transport.is_closing():
                 self.send_400_response("The request's head is too long.")
 
@@ -35,4 +36,5 @@ class BoundedHttpProtocol(HttpToolsProtocol):
     def on_message_complete(self) -> None:
         """End a request; what follows is the head of the next."""
         self._is_in_head, self._head_bytes = True, 0
+        self._ended += 1
         super().on_message_complete()
