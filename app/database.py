@@ -24,6 +24,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.engine.interfaces import DBAPIConnection
+from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.orm import DeclarativeBase, Session
 from sqlalchemy.pool import ConnectionPoolEntry
@@ -34,6 +35,8 @@ from app.settings import Settings
 
 WRITES: Final = "magcal_writes"
 POOL_SIZE: Final = 32
+LONGEST_TURN_S: Final = 15.0
+"""A writer of a process that has not had its turn for so long gives up; threads must not pile up behind a lock."""
 POSTGRES_OPTIONS: Final = (
     "-c timezone=UTC -c synchronous_commit=on -c statement_timeout=60000 -c lock_timeout=5000 "
     "-c idle_in_transaction_session_timeout=120000"
@@ -116,7 +119,7 @@ class Database:
         self.is_sqlite = not settings.is_postgres
         self.engine = _sqlite_engine(settings) if self.is_sqlite else _postgres_engine(settings)
         self._write_engine = self.engine.execution_options(**{WRITES: True})
-        self._writer = threading.Lock() if self.is_sqlite else nullcontext()
+        self._writer = threading.Lock()
 
     @contextmanager
     def read(self) -> Iterator[Session]:
@@ -127,8 +130,18 @@ class Database:
     @contextmanager
     def write(self) -> Iterator[Session]:
         """Yield a session whose one transaction is committed at the end, or rolled back by an error."""
-        with self._writer, Session(self._write_engine, expire_on_commit=False) as session, session.begin():
+        turn = self._turn() if self.is_sqlite else nullcontext()
+        with turn, Session(self._write_engine, expire_on_commit=False) as session, session.begin():
             yield session
+
+    @contextmanager
+    def _turn(self) -> Iterator[None]:
+        if not self._writer.acquire(timeout=LONGEST_TURN_S):
+            raise PoolTimeoutError(f"no turn to write within {LONGEST_TURN_S:g} s")
+        try:
+            yield
+        finally:
+            self._writer.release()
 
     def close(self) -> None:
         """Close every connection of the pool."""
