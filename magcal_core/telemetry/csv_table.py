@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 
 from magcal_core.errors import TelemetryFormatError, TelemetryValueError
+from magcal_core.telemetry import yamcs
 from magcal_core.telemetry.columns import STANDARD, ColumnMap, ColumnPlan, normal_header, plan_columns
 from magcal_core.telemetry.export import is_text, iso_texts
 from magcal_core.telemetry.faults import FaultList
@@ -39,14 +40,17 @@ def read_csv(data: bytes, columns: ColumnMap | None = None, *, max_rows: int = M
     start, header_line, lines_above = _find_header(text)
     separator = _separator(header_line)
     header = normal_header(_split(header_line, separator))
-    plan = plan_columns(header, columns, table=TABLE)
+    is_yamcs = yamcs.is_export(header)
+    plan = plan_columns(header, yamcs.column_map(header, columns) if is_yamcs else columns, table=TABLE)
     body = memoryview(text)[start:]
     if not text[start : start + 4096].strip() and not text[start:].strip():
         raise TelemetryFormatError("the CSV table has a header and no rows")
     table = _read_fast(body, header, separator, plan)
     if table is None:
-        return _read_slowly(text[start:], header, separator, plan, first_line=lines_above + 2)
-    return from_arrow(table, plan, name=TABLE)
+        raw = _read_slowly(text[start:], header, separator, plan, first_line=lines_above + 2)
+    else:
+        raw = from_arrow(table, plan, name=TABLE)
+    return yamcs.at_readings(raw) if is_yamcs else raw
 
 
 def _find_header(text: bytes) -> tuple[int, str, int]:
