@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sqlite3
 import threading
 import time
 from collections.abc import Iterator
@@ -120,6 +121,7 @@ class Database:
         self.engine = _sqlite_engine(settings) if self.is_sqlite else _postgres_engine(settings)
         self._write_engine = self.engine.execution_options(**{WRITES: True})
         self._writer = threading.Lock()
+        self._watcher = _watcher_of(settings) if self.is_sqlite else None
 
     @contextmanager
     def read(self) -> Iterator[Session]:
@@ -143,9 +145,20 @@ class Database:
         finally:
             self._writer.release()
 
+    def revision(self) -> int | None:
+        """Return a number that any process's next commit changes; None on PostgreSQL, which has none at hand."""
+        if self._watcher is None:
+            return None
+        try:
+            return int(self._watcher.execute("PRAGMA data_version").fetchone()[0])
+        except sqlite3.Error:
+            return None
+
     def close(self) -> None:
         """Close every connection of the pool."""
         self.engine.dispose()
+        if self._watcher is not None:
+            self._watcher.close()
 
 
 def _postgres_engine(settings: Settings) -> Engine:
@@ -169,6 +182,12 @@ def _sqlite_engine(settings: Settings) -> Engine:
     event.listen(engine, "connect", _prepare_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
     return engine
+
+
+def _watcher_of(settings: Settings) -> sqlite3.Connection:
+    """Return a connection that never writes, so that every commit is another's to it."""
+    name = make_url(settings.url).database or ":memory:"
+    return sqlite3.connect(name, timeout=0.0, check_same_thread=False, isolation_level=None)
 
 
 def _prepare_sqlite(connection: DBAPIConnection, _entry: ConnectionPoolEntry) -> None:

@@ -47,7 +47,10 @@ def configure_logs(settings: Settings) -> None:
 
 
 def _hide_keys(_logger: object, _name: str, event: MutableMapping[str, object]) -> MutableMapping[str, object]:
-    return {name: KEY.sub(r"mgc_\1_...", value) if isinstance(value, str) else value for name, value in event.items()}
+    for name, value in event.items():
+        if isinstance(value, str) and "mgc_" in value:
+            event[name] = KEY.sub(r"mgc_\1_...", value)
+    return event
 
 
 class RequestLog:

@@ -13,6 +13,7 @@ from starlette.concurrency import run_in_threadpool
 
 from app import health
 from app.auth import FailureLimiter, RecentKeys
+from app.conditional import Revalidation
 from app.dashboard import endpoints as displays
 from app.dashboard import pages
 from app.database import Database
@@ -30,6 +31,7 @@ from app.methods import Methods
 from app.orbits import endpoints as orbits
 from app.parameter_sets import endpoints as parameter_sets
 from app.parameter_sets import pointing
+from app.parameter_sets.listing import Texts
 from app.satellites import endpoints as satellites
 from app.security import SecurityHeaders
 from app.sessions import endpoints as sessions
@@ -61,6 +63,7 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
     app.state.queue = app.state.engine.queue
     app.state.failures = FailureLimiter(settings.auth_failures_per_minute)
     app.state.recent = RecentKeys()
+    app.state.texts = Texts()
     app.state.uploads = Admission(settings.max_uploads_at_once, settings.max_uploads_per_key)
     app.state.running = Running()
     app.include_router(health.router)
@@ -74,6 +77,7 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
     app.state.methods = Methods([("", health.router), ("", pages.router), *((API, room) for room in rooms)])
     install_handlers(app)
     app.add_middleware(HeadRequests)
+    app.add_middleware(Revalidation)
     app.add_middleware(RequestLimits)
     app.add_middleware(SecurityHeaders)
     app.add_middleware(RequestLog)

@@ -7,7 +7,7 @@ import binascii
 import json
 from collections.abc import Sequence
 from datetime import datetime
-from typing import TypeVar
+from typing import TypeVar, TypeVarTuple
 
 from sqlalchemy import Select, tuple_
 from sqlalchemy.orm import InstrumentedAttribute, Session
@@ -16,6 +16,7 @@ from app.schemas import PageQuery, utc_text
 from magcal_core.errors import InputError
 
 Row = TypeVar("Row")
+Columns = TypeVarTuple("Columns")
 
 
 class CursorError(InputError):
@@ -28,10 +29,22 @@ def fetch_page(
     session: Session, statement: Select[Row], keys: Sequence[InstrumentedAttribute[object]], query: PageQuery
 ) -> tuple[list[Row], str | None]:
     """Return the rows of one part, the greatest ``keys`` first, and the cursor of the next part."""
+    return cut(list(session.scalars(part_of(statement, keys, query))), keys, query)
+
+
+def part_of(
+    statement: Select[*Columns], keys: Sequence[InstrumentedAttribute[object]], query: PageQuery
+) -> Select[*Columns]:
+    """Return the statement of one part, the greatest ``keys`` first, and of one row more, if there is one."""
     if query.cursor is not None:
         statement = statement.where(tuple_(*keys) < tuple_(*_decode(query.cursor, keys)))
-    ordered = statement.order_by(*(key.desc() for key in keys)).limit(query.limit + 1)
-    rows = list(session.scalars(ordered))
+    return statement.order_by(*(key.desc() for key in keys)).limit(query.limit + 1)
+
+
+def cut(
+    rows: list[Row], keys: Sequence[InstrumentedAttribute[object]], query: PageQuery
+) -> tuple[list[Row], str | None]:
+    """Return the rows of `part_of` that are in the part, and the cursor of the next part."""
     if len(rows) <= query.limit:
         return rows, None
     last = rows[query.limit - 1]

@@ -18,6 +18,8 @@ class Job(Base):
         CheckConstraint("state IN ('queued', 'running', 'succeeded', 'failed', 'cancelled')", name="state"),
         CheckConstraint("progress >= 0 AND progress <= 1", name="progress"),
         Index(None, "state", "priority", "id"),
+        Index(None, "state", "id"),
+        Index(None, "created_by", "state"),
         Index(None, "satellite_id", "id"),
         Index(None, "parent_id", "state"),
     )
@@ -41,7 +43,7 @@ class Job(Base):
     error: Mapped[dict[str, object] | None] = mapped_column(JsonColumn)
     result: Mapped[dict[str, object] | None] = mapped_column(JsonColumn)
     created_at: Mapped[datetime]
-    created_by: Mapped[str | None] = mapped_column(String(32), index=True)
+    created_by: Mapped[str | None] = mapped_column(String(32))
     started_at: Mapped[datetime | None]
     finished_at: Mapped[datetime | None]
 

@@ -9,9 +9,11 @@ from starlette.concurrency import run_in_threadpool
 
 from app.auth import Operator, Reader
 from app.body import StrictJsonRoute
+from app.conditional import UNCHANGED, is_known, tagged_json, unchanged
 from app.keys.repository import Caller
 from app.parameter_sets.correction import Correction
 from app.parameter_sets.export import EXPORTERS, exported
+from app.parameter_sets.listing import found, listed, part
 from app.parameter_sets.repository import ParameterSetRepository
 from app.parameter_sets.residuals import from_bytes
 from app.parameter_sets.schemas import (
@@ -42,21 +44,28 @@ EXPORTS: Final[dict[int | str, dict[str, Any]]] = {
 }
 
 
-@router.get("")
-def list_parameter_sets(query: Annotated[ParameterSetQuery, Query()], caller: Reader, db: Db) -> Page[ParameterSetRead]:
+@router.get("", response_model=Page[ParameterSetRead], responses=UNCHANGED)
+def list_parameter_sets(
+    query: Annotated[ParameterSetQuery, Query()], request: Request, caller: Reader, db: Db
+) -> Response:
     """List the parameter sets, the newest first; with `at`, those in force at that time."""
-    with db.read() as session:
-        sets = ParameterSetRepository(session, caller)
-        rows, cursor = sets.page(query)
-        return Page(items=sets.read(rows), next=cursor)
+    with db.engine.connect() as connection:
+        wanted = listed(connection, caller, query)
+        if is_known(request, wanted.tag):
+            return unchanged(wanted.tag)
+        texts = request.app.state.texts.of(connection, wanted.sets)
+    return tagged_json(part(texts, wanted.cursor), wanted.tag)
 
 
-@router.get("/{parameter_set_id}")
-def get_parameter_set(parameter_set_id: str, caller: Reader, db: Db) -> ParameterSetRead:
+@router.get("/{parameter_set_id}", response_model=ParameterSetRead, responses=UNCHANGED)
+def get_parameter_set(parameter_set_id: str, request: Request, caller: Reader, db: Db) -> Response:
     """Show a parameter set."""
-    with db.read() as session:
-        sets = ParameterSetRepository(session, caller)
-        return sets.read([sets.get(parameter_set_id)])[0]
+    with db.engine.connect() as connection:
+        wanted = found(connection, caller, parameter_set_id)
+        if is_known(request, wanted.tag):
+            return unchanged(wanted.tag)
+        (content,) = request.app.state.texts.of(connection, wanted.sets)
+    return tagged_json(content, wanted.tag)
 
 
 @router.get("/{parameter_set_id}/residuals", responses=TABLES)
@@ -81,7 +90,9 @@ def export_parameter_set(
     parameter_set_id: str, query: Annotated[ExportQuery, Query()], caller: Reader, db: Db
 ) -> Response:
     """Write a parameter set for flight software."""
-    record = get_parameter_set(parameter_set_id, caller, db)
+    with db.read() as session:
+        sets = ParameterSetRepository(session, caller)
+        record = sets.read([sets.get(parameter_set_id)])[0]
     media_type, text = exported(record, query.convention, query.format)
     return Response(text, media_type=media_type)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import datetime
 
-from sqlalchemy import ColumnElement, or_, select
+from sqlalchemy import ColumnElement, Select, case, or_, select
 from sqlalchemy.orm import Session
 
 from app.database import new_id, utc_now
@@ -43,29 +43,7 @@ class ParameterSetRepository:
 
     def page(self, query: ParameterSetQuery) -> tuple[list[ParameterSet], str | None]:
         """Return a part of the parameter sets, the newest first."""
-        statement = select(ParameterSet).where(within_reach(ParameterSet.satellite_id, self.caller))
-        equal = {
-            ParameterSet.satellite_id: query.satellite,
-            ParameterSet.magnetometer_id: query.magnetometer,
-            ParameterSet.job_id: query.job,
-            ParameterSet.status: query.status,
-            ParameterSet.method: query.method,
-            ParameterSet.grade: query.grade,
-        }
-        for column, wanted in equal.items():
-            if wanted is not None:
-                statement = statement.where(column == wanted)
-        if query.session is not None:
-            link = ParameterSetSession
-            of_session = select(link.parameter_set_id).where(link.session_id == query.session)
-            statement = statement.where(ParameterSet.id.in_(of_session))
-        if query.since is not None:
-            statement = statement.where(ParameterSet.data_until >= query.since)
-        if query.until is not None:
-            statement = statement.where(ParameterSet.data_from <= query.until)
-        if query.at is not None:
-            in_force = select(Activation.parameter_set_id).where(_in_force(query.at))
-            statement = statement.where(ParameterSet.id.in_(in_force))
+        statement = select(ParameterSet).where(*matching(query, self.caller))
         return fetch_page(self.session, statement, (ParameterSet.id,), query)
 
     def session_ids(self, rows: Sequence[ParameterSet]) -> dict[str, list[str]]:
@@ -156,5 +134,51 @@ class ParameterSetRepository:
             self.session.flush()
 
 
-def _in_force(at: datetime) -> ColumnElement[bool]:
-    return (Activation.begun_at <= at) & or_(Activation.ended_at.is_(None), Activation.ended_at > at)
+def matching(query: ParameterSetQuery, caller: Caller) -> list[ColumnElement[bool]]:
+    """Return the conditions of the parameter sets that ``query`` asks for and the caller reaches."""
+    found = [within_reach(ParameterSet.satellite_id, caller)]
+    equal = {
+        ParameterSet.satellite_id: query.satellite,
+        ParameterSet.magnetometer_id: query.magnetometer,
+        ParameterSet.job_id: query.job,
+        ParameterSet.status: query.status,
+        ParameterSet.method: query.method,
+        ParameterSet.grade: query.grade,
+    }
+    found += [column == wanted for column, wanted in equal.items() if wanted is not None]
+    if query.session is not None:
+        link = ParameterSetSession
+        of_session = select(link.parameter_set_id).where(link.session_id == query.session)
+        found.append(ParameterSet.id.in_(of_session))
+    if query.since is not None:
+        found.append(ParameterSet.data_until >= query.since)
+    if query.until is not None:
+        found.append(ParameterSet.data_from <= query.until)
+    if query.at is not None:
+        found.append(ParameterSet.id.in_(_in_force(query.at, query, caller)))
+    return found
+
+
+def _in_force(at: datetime, query: ParameterSetQuery, caller: Caller) -> Select[str | None]:
+    """Return the parameter set in force at ``at`` of each magnetometer that is asked for.
+
+    Activations of a magnetometer follow one another, so it is that of the last one begun, unless that had ended.
+    """
+    last = (
+        select(case((or_(Activation.ended_at.is_(None), Activation.ended_at > at), Activation.parameter_set_id)))
+        .where(
+            Activation.satellite_id == Magnetometer.satellite_id,
+            Activation.magnetometer_id == Magnetometer.id,
+            Activation.begun_at <= at,
+            or_(Activation.ended_at.is_(None), Activation.ended_at > Activation.begun_at),
+        )
+        .order_by(Activation.begun_at.desc())
+        .limit(1)
+        .scalar_subquery()
+    )
+    asked = [within_reach(Magnetometer.satellite_id, caller)]
+    if query.satellite is not None:
+        asked.append(Magnetometer.satellite_id == query.satellite)
+    if query.magnetometer is not None:
+        asked.append(Magnetometer.id == query.magnetometer)
+    return select(last).select_from(Magnetometer).where(*asked)

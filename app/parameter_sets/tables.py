@@ -18,6 +18,7 @@ class ParameterSet(Base):
         ForeignKeyConstraint(["satellite_id", "magnetometer_id"], ["magnetometer.satellite_id", "magnetometer.id"]),
         CheckConstraint("status IN ('candidate', 'active', 'retired')", name="status"),
         CheckConstraint("grade IN ('accept', 'weak', 'refuse')", name="grade"),
+        Index(None, "satellite_id", "id"),
         Index(None, "satellite_id", "magnetometer_id", "id"),
         Index(
             "ux_parameter_set_active",

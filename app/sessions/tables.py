@@ -27,6 +27,8 @@ class TelemetrySession(Base):
         UniqueConstraint("satellite_id", "magnetometer_id", "sha256"),
         CheckConstraint("state IN ('open', 'closed')", name="state"),
         Index(None, "satellite_id", "data_from"),
+        Index(None, "satellite_id", "id"),
+        Index(None, "satellite_id", "magnetometer_id", "id"),
     )
 
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
@@ -51,7 +53,7 @@ class Chunk(Base):
     """Bytes as they arrived, and their columnar form."""
 
     __tablename__ = "chunk"
-    __table_args__ = (UniqueConstraint("session_id", "sha256"),)
+    __table_args__ = (UniqueConstraint("session_id", "sha256"), Index(None, "created_at"))
 
     session_id: Mapped[str] = mapped_column(ForeignKey("session.id"), primary_key=True)
     sequence: Mapped[int] = mapped_column(primary_key=True)
