@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,6 +40,19 @@ class Standardised:
         mean, spread = (raw.mean(axis=0), raw.std(axis=0)) if columns else (np.zeros(0), np.zeros(0))
         spread = np.where(spread > 0, spread, 1.0)
         return cls(tuple(names), np.ascontiguousarray((raw - mean) / spread), mean, spread)
+
+    @classmethod
+    def of_weighed(cls, columns: Mapping[str, Floats], weights: Floats) -> Standardised:
+        """Return ``columns`` with mean and deviation of the samples whose ``weights``, shape (n,), are positive.
+
+        A column that is constant over those is zero there: it cannot be told from the bias.
+        """
+        if not columns:
+            return cls.of((), (), len(weights))
+        used = weights > 0
+        among = cls.of(tuple(columns), [column[used] for column in columns.values()], len(weights))
+        raw = np.column_stack(list(columns.values()))
+        return cls(among.names, np.ascontiguousarray((raw - among.mean) / among.spread), among.mean, among.spread)
 
 
 def matrix_jacobian(matrix: Floats) -> Floats:

@@ -48,7 +48,93 @@ def _loss(loss: int, s2: float) -> tuple[float, float]:  # pragma: no cover - co
     return rho, weight
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def _weigh(r: Floats, weight: Floats, loss: int, bend: float, root: Floats) -> float:  # pragma: no cover - compiled
+    """Return the cost of the residuals ``r`` and leave the root of each one's whole weight in ``root``."""
+    cost = 0.0
+    if loss == 0:
+        for i in range(r.size):
+            cost += weight[i] * r[i] * r[i]
+        for i in range(r.size):
+            root[i] = math.sqrt(weight[i])
+        return cost
+    inverse = 1.0 / bend
+    if loss == 2:
+        for i in range(r.size):
+            s = r[i] * inverse
+            root[i] = math.sqrt(1.0 + s * s)
+        for i in range(r.size):
+            cost += weight[i] * 2.0 * (root[i] - 1.0)
+        for i in range(r.size):
+            root[i] = math.sqrt(weight[i] / root[i])
+        return cost * bend * bend
+    for i in range(r.size):
+        s = r[i] * inverse
+        rho, w = _loss(loss, s * s)
+        cost += weight[i] * rho
+        root[i] = math.sqrt(w * weight[i])
+    return cost * bend * bend
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def _geometric(  # noqa: PLR0917
+    theta: Floats, sigma: float, length: Floats, r: Floats, u: Floats, extra: Floats, inverse: Floats
+) -> None:  # pragma: no cover - compiled
+    """Turn the residual into the geometric one and its gradient's factors of h; ``extra``: what L adds beside them."""
+    l11, l21, l22 = theta[0], theta[1], theta[2]
+    l31, l32, l33 = theta[3], theta[4], theta[5]
+    s11, s12, s13 = l11 * l11, l11 * l21, l11 * l31
+    s22, s23, s33 = l21 * l21 + l22 * l22, l21 * l31 + l22 * l32, l31 * l31 + l32 * l32 + l33 * l33
+    trace = s11 + s22 + s33
+    for i in range(r.size):
+        u1, u2, u3 = u[0, i], u[1, i], u[2, i]
+        v1 = s11 * u1 + s12 * u2 + s13 * u3
+        v2 = s12 * u1 + s22 * u2 + s23 * u3
+        v3 = s13 * u1 + s23 * u2 + s33 * u3
+        q = u1 * v1 + u2 * v2 + u3 * v3
+        over = 1.0 / math.sqrt(q)
+        half = sigma * sigma / (2.0 * length[i])
+        beta = half * (trace - q)
+        residual = (r[i] - beta) * over
+        kappa = half * over - 0.5 * residual / q
+        turn = 2.0 * kappa / length[i]
+        along = (1.0 + beta / length[i]) * over - turn * q
+        g1 = l11 * u1 + l21 * u2 + l31 * u3
+        g2, g3 = l22 * u2 + l32 * u3, l33 * u3
+        f, e = 2.0 * kappa, 2.0 * half * over
+        extra[0, i] = f * u1 * g1 - e * l11
+        extra[1, i] = f * u2 * g1 - e * l21
+        extra[2, i] = f * u2 * g2 - e * l22
+        extra[3, i] = f * u3 * g1 - e * l31
+        extra[4, i] = f * u3 * g2 - e * l32
+        extra[5, i] = f * u3 * g3 - e * l33
+        u[0, i] = along * u1 + turn * v1
+        u[1, i] = along * u2 + turn * v2
+        u[2, i] = along * u3 + turn * v3
+        r[i] = residual
+        inverse[i] = over
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def _add_products(rows: Floats, count: int, total: Floats) -> None:  # pragma: no cover - compiled
+    """Add rows rows^T over ``count`` samples, its upper half in blocks of two by two, to ``total``; even many rows."""
+    for c in range(0, rows.shape[0], 2):
+        left, right = rows[c], rows[c + 1]
+        for d in range(c, rows.shape[0], 2):
+            upper, lower = rows[d], rows[d + 1]
+            t00, t01, t10, t11 = 0.0, 0.0, 0.0, 0.0
+            for i in range(count):
+                t00 += left[i] * upper[i]
+                t01 += left[i] * lower[i]
+                t10 += right[i] * upper[i]
+                t11 += right[i] * lower[i]
+            total[c, d] += t00
+            total[c, d + 1] += t01
+            total[c + 1, d] += t10
+            total[c + 1, d + 1] += t11
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def accumulate(  # noqa: PLR0912, PLR0915, PLR0917 - one straight derivation
     h: Floats,
     b: Floats,
@@ -65,96 +151,107 @@ def accumulate(  # noqa: PLR0912, PLR0915, PLR0917 - one straight derivation
     """Return the cost at ``theta`` and leave J^T W J in ``normal`` and J^T W r in ``gradient``.
 
     ``bend`` is the residual, nT, at which ``loss`` bends; ``sigma`` the noise of a component, nT, negative for the
-    plain residual |x| - B.
+    plain residual |x| - B. Chunks without any weight are passed over. Each loop writes one array: those are the loops
+    that become vector instructions.
     """
     n, k, m_rates = h.shape[0], z.shape[1], rate.shape[1]
     p = 9 + 3 * k + m_rates
     l11, l21, l22 = theta[0], theta[1], theta[2]
     l31, l32, l33 = theta[3], theta[4], theta[5]
-    s11, s12, s13 = l11 * l11, l11 * l21, l11 * l31
-    s22, s23, s33 = l21 * l21 + l22 * l22, l21 * l31 + l22 * l32, l31 * l31 + l32 * l32 + l33 * l33
-    trace = s11 + s22 + s33
-    rows = np.empty((p + 1, _CHUNK))
-    normal[:, :] = 0.0
-    gradient[:] = 0.0
+    c1, c2, c3 = theta[6], theta[7], theta[8]
+    width = min(_CHUNK, max(n, 1))
+    rows, total = np.zeros((p + 1 + (p + 1) % 2, width)), np.zeros((p + 2, p + 2))
+    u = np.empty((3, width))
+    u1, u2, u3 = u[0], u[1], u[2]
+    h1, h2, h3 = np.empty(width), np.empty(width), np.empty(width)
+    length, r, root, inverse = np.empty(width), np.empty(width), np.empty(width), np.empty(width)
+    last = rows[p]
+    extra = np.empty((6 if sigma >= 0.0 else 0, width))
     cost = 0.0
-    for start in range(0, n, _CHUNK):
-        count = min(_CHUNK, n - start)
+    for start in range(0, n, width):
+        count = min(width, n - start)
+        weights = weight[start : start + count]
+        if not weights.any():
+            continue
+        chunk, field = h[start : start + count], b[start : start + count]
         for i in range(count):
-            s = start + i
-            h1, h2, h3 = h[s, 0], h[s, 1], h[s, 2]
-            x1 = l11 * h1 - theta[6]
-            x2 = l21 * h1 + l22 * h2 - theta[7]
-            x3 = l31 * h1 + l32 * h2 + l33 * h3 - theta[8]
-            for j in range(k):
-                zj = z[s, j]
-                x1 -= theta[9 + 3 * j] * zj
-                x2 -= theta[10 + 3 * j] * zj
-                x3 -= theta[11 + 3 * j] * zj
-            length = math.sqrt(x1 * x1 + x2 * x2 + x3 * x3) + 1e-300
-            u1, u2, u3 = x1 / length, x2 / length, x3 / length
-            r = length - b[s]
-            for m in range(m_rates):
-                r += theta[9 + 3 * k + m] * rate[s, m]
-            a1, a2, a3 = u1, u2, u3
-            inverse = 1.0
-            if sigma >= 0.0:
-                v1 = s11 * u1 + s12 * u2 + s13 * u3
-                v2 = s12 * u1 + s22 * u2 + s23 * u3
-                v3 = s13 * u1 + s23 * u2 + s33 * u3
-                q = u1 * v1 + u2 * v2 + u3 * v3
-                inverse = 1.0 / math.sqrt(q)
-                half = sigma * sigma / (2.0 * length)
-                beta = half * (trace - q)
-                r = (r - beta) * inverse
-                kappa = half * inverse - 0.5 * r / q
-                turn = 2.0 * kappa / length
-                along = (1.0 + beta / length) * inverse - turn * q
-                a1 = along * u1 + turn * v1
-                a2 = along * u2 + turn * v2
-                a3 = along * u3 + turn * v3
-            rho, w = _loss(loss, (r / bend) * (r / bend))
-            root = math.sqrt(w * weight[s])
-            cost += weight[s] * (rho * bend * bend if loss != 0 else r * r)
-            rows[0, i] = root * a1 * h1
-            rows[1, i] = root * a2 * h1
-            rows[2, i] = root * a2 * h2
-            rows[3, i] = root * a3 * h1
-            rows[4, i] = root * a3 * h2
-            rows[5, i] = root * a3 * h3
-            if sigma >= 0.0:
-                g1 = l11 * u1 + l21 * u2 + l31 * u3
-                g2, g3 = l22 * u2 + l32 * u3, l33 * u3
-                f, e = 2.0 * kappa, 2.0 * half * inverse
-                rows[0, i] += root * (f * u1 * g1 - e * l11)
-                rows[1, i] += root * (f * u2 * g1 - e * l21)
-                rows[2, i] += root * (f * u2 * g2 - e * l22)
-                rows[3, i] += root * (f * u3 * g1 - e * l31)
-                rows[4, i] += root * (f * u3 * g2 - e * l32)
-                rows[5, i] += root * (f * u3 * g3 - e * l33)
-            rows[6, i] = -root * a1
-            rows[7, i] = -root * a2
-            rows[8, i] = -root * a3
-            for j in range(k):
-                zj = z[s, j]
-                rows[9 + 3 * j, i] = -root * a1 * zj
-                rows[10 + 3 * j, i] = -root * a2 * zj
-                rows[11 + 3 * j, i] = -root * a3 * zj
-            for m in range(m_rates):
-                rows[9 + 3 * k + m, i] = root * rate[s, m] * inverse
-            rows[p, i] = root * r
-        for c in range(p):
-            for d in range(c, p + 1):
-                total = 0.0
+            h1[i] = chunk[i, 0]
+        for i in range(count):
+            h2[i] = chunk[i, 1]
+        for i in range(count):
+            h3[i] = chunk[i, 2]
+        for i in range(count):
+            u1[i] = l11 * h1[i] - c1
+        for i in range(count):
+            u2[i] = l21 * h1[i] + l22 * h2[i] - c2
+        for i in range(count):
+            u3[i] = l31 * h1[i] + l32 * h2[i] + l33 * h3[i] - c3
+        for j in range(k):
+            column = z[start : start + count, j]
+            for axis in range(3):
+                along, slope = u[axis], theta[9 + 3 * j + axis]
                 for i in range(count):
-                    total += rows[c, i] * rows[d, i]
-                if d < p:
-                    normal[c, d] += total
-                else:
-                    gradient[c] += total
+                    along[i] -= slope * column[i]
+        for i in range(count):
+            length[i] = math.sqrt(u1[i] * u1[i] + u2[i] * u2[i] + u3[i] * u3[i]) + 1e-300
+        for i in range(count):
+            inverse[i] = 1.0 / length[i]
+        for axis in range(3):
+            along = u[axis]
+            for i in range(count):
+                along[i] *= inverse[i]
+        for i in range(count):
+            r[i] = length[i] - field[i]
+        for m in range(m_rates):
+            column, slope = rate[start : start + count, m], theta[9 + 3 * k + m]
+            for i in range(count):
+                r[i] += slope * column[i]
+        inverse[:] = 1.0
+        if sigma >= 0.0:
+            _geometric(theta, sigma, length, r[:count], u, extra, inverse)
+        cost += _weigh(r[:count], weights, loss, bend, root)
+        for axis in range(3):
+            along = u[axis]
+            for i in range(count):
+                along[i] *= root[i]
+        for i in range(count):
+            rows[0, i] = u1[i] * h1[i]
+        for i in range(count):
+            rows[1, i] = u2[i] * h1[i]
+        for i in range(count):
+            rows[2, i] = u2[i] * h2[i]
+        for i in range(count):
+            rows[3, i] = u3[i] * h1[i]
+        for i in range(count):
+            rows[4, i] = u3[i] * h2[i]
+        for i in range(count):
+            rows[5, i] = u3[i] * h3[i]
+        for c in range(extra.shape[0]):
+            row, added = rows[c], extra[c]
+            for i in range(count):
+                row[i] += root[i] * added[i]
+        for axis in range(3):
+            row, along = rows[6 + axis], u[axis]
+            for i in range(count):
+                row[i] = -along[i]
+        for j in range(k):
+            column = z[start : start + count, j]
+            for axis in range(3):
+                row, along = rows[9 + 3 * j + axis], u[axis]
+                for i in range(count):
+                    row[i] = -along[i] * column[i]
+        for m in range(m_rates):
+            row, column = rows[9 + 3 * k + m], rate[start : start + count, m]
+            for i in range(count):
+                row[i] = root[i] * column[i] * inverse[i]
+        for i in range(count):
+            last[i] = root[i] * r[i]
+        _add_products(rows, count, total)
     for c in range(p):
-        for d in range(c):
-            normal[c, d] = normal[d, c]
+        for d in range(c, p):
+            normal[c, d] = total[c, d]
+            normal[d, c] = total[c, d]
+        gradient[c] = total[c, p]
     return cost
 
 

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 MAX_EVALUATIONS: Final = 200
-_STEP: Final = 1e-9
+STEP: Final = 1e-9
 """Stop when a step moves the residual vector by less than this share of its length: 1e-9 sqrt(n) standard errors."""
-_ROUNDING: Final = 1e-13
+ROUNDING: Final = 1e-13
 _SINGULAR: Final = 1e-14
 """Square of the smallest pivot of the scaled normal matrix that is told from rounding."""
-_DAMPING_START: Final = 1e-3
-_DAMPING_LIMIT: Final = 1e12
+DAMPING_START: Final = 1e-3
+DAMPING_LIMIT: Final = 1e12
 
 Evaluate = Callable[[Floats, Floats, Floats], float]
 """(theta, normal, gradient) -> cost; fills J^T W J and J^T W r."""
@@ -52,14 +52,14 @@ def minimise(evaluate: Evaluate, theta: Floats, floor: float, limit: int = MAX_E
         step = np.empty(p)
         is_regular = damped_step(normal, gradient, damping, step)
         moved = float(np.sqrt(abs(step @ normal @ step))) if is_regular else np.inf
-        if is_regular and damping == 0.0 and moved <= _STEP * np.sqrt(cost) + _ROUNDING * floor:
+        if is_regular and damping == 0.0 and moved <= STEP * np.sqrt(cost) + ROUNDING * floor:
             theta, is_converged = theta + step, True
             break
         if is_regular:
             trial = theta + step
             trial_cost = evaluate(trial, trial_normal, trial_gradient)
             evaluations += 1
-            is_rounding = moved**2 <= _ROUNDING * cost + (_ROUNDING * floor) ** 2
+            is_rounding = moved**2 <= ROUNDING * cost + (ROUNDING * floor) ** 2
             if trial_cost <= cost or (is_rounding and trial_cost <= cost * (1 + 1e-10)):
                 theta, cost = trial, trial_cost
                 normal, trial_normal = trial_normal, normal
@@ -70,8 +70,8 @@ def minimise(evaluate: Evaluate, theta: Floats, floor: float, limit: int = MAX_E
                 # The cost is flat to rounding in the only direction left: this is the minimum.
                 is_converged = True
                 break
-        damping = max(10 * damping, _DAMPING_START)
-        if damping > _DAMPING_LIMIT:
+        damping = max(10 * damping, DAMPING_START)
+        if damping > DAMPING_LIMIT:
             break
     return Minimum(theta, cost, normal, gradient, evaluations, is_converged)
 

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.calibration.descent import descend
 from magcal_core.calibration.fit import (
     BlockScores,
     Fit,
@@ -29,7 +30,7 @@ from magcal_core.calibration.jacobians import (
 )
 from magcal_core.calibration.kernels import LOSSES, TUNING, accumulate, accumulate_blocks, residuals
 from magcal_core.calibration.linear_start import closed_form_starts
-from magcal_core.calibration.minimise import Minimum, minimise
+from magcal_core.calibration.minimise import Minimum
 from magcal_core.calibration.observability import (
     ENOUGH,
     PARAMETER_NAMES,
@@ -67,6 +68,11 @@ class _Task:
         columns = [observations.regressors[name] for name in names]
         return cls(observations, Standardised.of(names, columns, len(observations)))
 
+    @classmethod
+    def of_weighed(cls, observations: Observations) -> _Task:
+        """Return the task with regressors standardised over the samples that have weight."""
+        return cls(observations, Standardised.of_weighed(observations.regressors, observations.weights))
+
     def thinned(self) -> _Task:
         """Return the same task on at most `ENOUGH` samples, evenly spaced."""
         step = len(self.observations) // ENOUGH
@@ -85,15 +91,7 @@ class _Task:
 
     def minimise(self, theta: Floats, loss: int = 0, bend: float = 1.0, sigma: float = _PLAIN) -> Minimum:
         o = self.observations
-
-        def evaluate(at: Floats, normal: Floats, gradient: Floats) -> float:
-            return float(
-                accumulate(
-                    o.h_nt, o.b_nt, o.weights, self.z.columns, o.rate_nt_s, at, loss, bend, sigma, normal, gradient
-                )
-            )
-
-        return minimise(evaluate, theta, self.floor)
+        return descend(o.h_nt, o.b_nt, o.weights, self.z.columns, o.rate_nt_s, theta, loss, bend, sigma, self.floor)
 
     def residuals(self, theta: Floats, sigma: float = _PLAIN) -> Floats:
         o = self.observations
@@ -150,7 +148,7 @@ class ScalarFit:
         NotObservableError
             The search does not end at a minimum.
         """
-        task = _Task.of(observations)
+        task = _Task.of_weighed(observations)
         theta = theta_of_parameters(near.parameters, task.z)
         theta = np.concatenate([theta, np.zeros(task.size - theta.size)])
         loss = LOSSES[near.robust]

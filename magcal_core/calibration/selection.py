@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -33,13 +34,13 @@ def held_out_residuals_nt(
 
     None where the rest of the data does not determine the parameters once a block is left out.
     """
-    n = len(observations)
     parts = []
     for fold in folds_of(observations.t_s):
-        rest = np.ones(n, dtype=bool)
-        rest[fold] = False
+        # Zero weight equals absent: nothing is copied but the weights.
+        weights = observations.weights.copy()
+        weights[fold] = 0.0
         try:
-            parameters = estimator.refit(observations.take(rest), settings, near)
+            parameters = estimator.refit(replace(observations, weights=weights), settings, near)
         except EstimationError:
             return None
         parts.append(residuals_nt(observations.take(fold), parameters, estimator.is_vector))

@@ -1,0 +1,86 @@
+"""The compiled search against the same search in Python, and folds without weight against folds that are not there."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magcal_core.calibration import ESTIMATORS, FitSettings, Observations
+from magcal_core.calibration.descent import descend
+from magcal_core.calibration.kernels import LOSSES, TUNING, accumulate
+from magcal_core.calibration.minimise import Minimum, minimise
+from magcal_core.calibration.selection import folds_of
+
+
+def _observations(mission, regressors: bool) -> Observations:
+    samples = mission(noise_nt=80.0, seed=5).samples
+    random = np.random.default_rng(6)
+    n = len(samples)
+    samples = replace(samples, housekeeping={"temperature": 20.0 + 5.0 * np.sin(np.arange(n) / 90.0)})
+    observations = Observations.of(samples, ("temperature",) if regressors else ())
+    rate = random.normal(size=(n, 1)) * 17.0 if regressors else np.zeros((n, 0))
+    return replace(observations, rate_nt_s=rate)
+
+
+def _both(o: Observations, loss: str, sigma: float) -> tuple[Minimum, Minimum]:
+    columns = [column - column.mean() for column in o.regressors.values()]
+    z = np.ascontiguousarray(np.column_stack(columns)) if columns else np.zeros((len(o), 0))
+    theta = np.concatenate([[1.0, 0.0, 1.0, 0.0, 0.0, 1.0], np.zeros(3 + 3 * len(columns) + o.rate_nt_s.shape[1])])
+    bend, floor = TUNING[LOSSES[loss]] * 100.0, float(np.sqrt(np.sum(o.b_nt**2)))
+
+    def evaluate(at, normal, gradient):
+        arrays = (o.h_nt, o.b_nt, o.weights, z, o.rate_nt_s)
+        return float(accumulate(*arrays, at, LOSSES[loss], bend, sigma, normal, gradient))
+
+    arrays = (o.h_nt, o.b_nt, o.weights, z, o.rate_nt_s)
+    return minimise(evaluate, theta, floor), descend(*arrays, theta, LOSSES[loss], bend, sigma, floor)
+
+
+@pytest.mark.parametrize("loss", list(LOSSES))
+@pytest.mark.parametrize("sigma", [-1.0, 80.0])
+@pytest.mark.parametrize("regressors", [False, True])
+def test_the_compiled_search_takes_the_same_way_as_the_one_in_python(mission, loss, sigma, regressors):
+    """Same steps from the same start: equal but for the order of a few sums, 1e-9 of the largest unknown."""
+    slow, fast = _both(_observations(mission, regressors), loss, sigma)
+    assert (fast.evaluations, fast.is_converged) == (slow.evaluations, slow.is_converged)
+    np.testing.assert_allclose(fast.theta, slow.theta, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(fast.cost, slow.cost, rtol=1e-11)
+    np.testing.assert_allclose(fast.normal, slow.normal, rtol=1e-8, atol=1e-8 * np.abs(slow.normal).max())
+
+
+@pytest.mark.parametrize("count", [1, 7, 255, 256, 257, 700])
+def test_chunks_of_any_length_add_up(mission, count):
+    """One call over the samples against one call a sample: sums in another order, 1e-11."""
+    o = _observations(mission, True).take(slice(0, count))
+    z = np.ascontiguousarray(np.column_stack(list(o.regressors.values()))) / 20.0
+    theta = np.array([0.98, 0.01, 1.02, -0.02, 0.03, 0.97, 2900.0, -1200.0, -1800.0, 30.0, -20.0, 10.0, 0.4])
+    p = theta.size
+    whole, gradient = np.empty((p, p)), np.empty(p)
+    cost = accumulate(o.h_nt, o.b_nt, o.weights, z, o.rate_nt_s, theta, 2, 135.0, 60.0, whole, gradient)
+    normals, gradients, costs = np.zeros((p, p)), np.zeros(p), 0.0
+    for i in range(count):
+        one, slope = np.empty((p, p)), np.empty(p)
+        at = slice(i, i + 1)
+        arrays = (o.h_nt[at], o.b_nt[at], o.weights[at], z[at], o.rate_nt_s[at])
+        costs += accumulate(*arrays, theta, 2, 135.0, 60.0, one, slope)
+        normals, gradients = normals + one, gradients + slope
+    np.testing.assert_allclose(cost, costs, rtol=1e-11)
+    np.testing.assert_allclose(whole, normals, rtol=1e-11, atol=1e-11 * np.abs(normals).max())
+    np.testing.assert_allclose(gradient, gradients, rtol=1e-9, atol=1e-9 * np.abs(gradients).max())
+
+
+@pytest.mark.parametrize("method", list(ESTIMATORS))
+@pytest.mark.parametrize("robust", ["none", "huber"])
+def test_a_fold_without_weight_is_a_fold_that_is_not_there(mission, method, robust):
+    """Cross-validation takes the weights away, not the samples: the same estimate to the rounding of its sums."""
+    estimator, settings = ESTIMATORS[method], FitSettings(robust)
+    names = ("temperature",) if estimator.takes_regressors else ()
+    o = _observations(mission, True).with_regressors(names)
+    o = replace(o, rate_nt_s=np.zeros((0, 0)))
+    near = estimator.fit(o, settings)
+    for fold in folds_of(o.t_s)[:2]:
+        weights, rest = o.weights.copy(), np.ones(len(o), dtype=bool)
+        weights[fold], rest[fold] = 0.0, False
+        fast = estimator.refit(replace(o, weights=weights), settings, near).vector
+        slow = estimator.refit(o.take(rest), settings, near).vector
+        np.testing.assert_allclose(fast, slow, rtol=1e-7, atol=1e-6)
