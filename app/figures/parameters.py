@@ -91,7 +91,7 @@ def rms_history(sets: Sequence[ParameterSetRecord], theme: Theme = LIGHT) -> Fig
     fitted = [record["statistics"]["after"]["rms_nt"] for record in ordered]
     held_out = [record["statistics"]["cross_validated_rms_nt"] for record in ordered]
     traces: list[Trace] = [
-        _by_grade(ordered, theme) | {"x": x, "y": fitted, "name": "in the fit"},
+        _by_grade(ordered, theme) | {"x": x, "y": fitted, "name": "in the fit", "showlegend": False},
         scatter(
             x,
             held_out,

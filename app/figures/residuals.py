@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from app.figures.isolines import field_lines
 from app.figures.style import (
     LIGHT,
     MAX_POINTS,
@@ -140,7 +141,7 @@ def residual_autocorrelation(table: ResidualTable, theme: Theme = LIGHT, max_lag
 
 
 def residual_map(t_utc: Times, r_itrf_km: Floats, residual_nt: Floats, theme: Theme = LIGHT) -> Figure:
-    """Return the residual, shape (n,), where over the Earth it arose: geocentric latitude against longitude."""
+    """Return the residual, shape (n,), over geocentric latitude and longitude, with lines of the model's |B| in nT."""
     index = np.flatnonzero(np.isfinite(residual_nt) & np.isfinite(r_itrf_km).all(axis=1))
     index = index[extreme_indices(residual_nt[index], MAX_POINTS)]
     latitude, longitude = latitude_longitude_deg(r_itrf_km[index])
@@ -155,7 +156,7 @@ def residual_map(t_utc: Times, r_itrf_km: Floats, residual_nt: Floats, theme: Th
         "xaxis": axis(theme, "longitude, deg east", range=[-180, 180], dtick=60),
         "yaxis": axis(theme, "latitude, deg north", range=[-90, 90], dtick=30),
     }
-    return make_figure([trace], theme, layout)
+    return make_figure([*field_lines(t_utc[index], r_itrf_km[index], theme), trace], theme, layout)
 
 
 def residual_sphere(b_body_nt: Floats, residual_nt: Floats, theme: Theme = LIGHT) -> Figure:

@@ -134,7 +134,7 @@ def test_every_figure_is_svg_bounded_and_names_no_address(
     figure = draw(theme)
     text = figure.to_json()
     assert json.loads(text)["data"]
-    assert {trace.type for trace in figure.data} <= {"scatter", "bar", "heatmap"}
+    assert {trace.type for trace in figure.data} <= {"scatter", "bar", "heatmap", "contour"}
     assert all(points(trace) <= figures.MAX_POINTS for trace in figure.data)
     assert "http" not in text
 
@@ -194,6 +194,15 @@ def test_a_long_history_is_a_band_of_one_error_and_marks_only_what_is_doubtful()
     np.testing.assert_allclose(high.y - low.y, 120.0)
     np.testing.assert_allclose(line.y, 0.5 * (low.y + high.y))
     assert np.flatnonzero(np.isfinite(marks.y)).tolist() == [7]
+
+
+def test_the_lines_of_the_map_find_the_south_atlantic_anomaly() -> None:
+    """The weakest field of the Earth lies off the coast of Brazil: about 26 S, 60 W in 2022, at any low height."""
+    lines = figures.residual_map(T_UTC, positions(), SCALAR_NT).data[0]
+    row, column = np.unravel_index(np.argmin(lines.z), lines.z.shape)
+    assert abs(lines.y[row] + 26) <= 10
+    assert abs(lines.x[column] + 60) <= 10
+    assert 15_000 < np.min(lines.z) < 23_000
 
 
 def test_correlations_come_from_the_covariance() -> None:

@@ -26,7 +26,7 @@ const columns = (again) => [
   { name: "job", value: (r) => r.id, show: (r) => short(r.id) },
   { name: "kind", value: (r) => r.kind },
   { name: "state", value: (r) => r.state, show: (r) => state(r.state) },
-  { name: "progress", numeric: true, value: (r) => r.progress, show: (r) => h("progress", { max: 1, value: r.progress, "aria-label": `Progress of ${short(r.id)}` }) },
+  { name: "progress", numeric: true, value: (r) => r.progress, show: (r) => r.state === "failed" || r.state === "cancelled" ? "–" : h("progress", { max: 1, value: r.progress, "aria-label": `Progress of ${short(r.id)}` }) },
   { name: "satellite", value: (r) => r.satellite, show: (r) => r.satellite ? h("a", { href: `/satellites/${r.satellite}` }, r.satellite) : "–" },
   { name: "session", value: (r) => r.session_ids[0], show: (r) => r.session_ids.length ? h("a", { href: `/sessions/${r.session_ids[0]}` }, short(r.session_ids[0]),
     r.session_ids.length > 1 ? ` and ${r.session_ids.length - 1} more` : "") : "–" },

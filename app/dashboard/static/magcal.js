@@ -1,4 +1,5 @@
 // What every page uses: the public API, elements, numbers, notices.
+import { table } from "./table.js";
 
 const scopes = new Set((document.body.dataset.scopes ?? "").split(" "));
 export const may = (...wanted) => scopes.has("admin") || wanted.some((scope) => scopes.has(scope));
@@ -59,7 +60,7 @@ export function title(text) {
 
 export const fixed = (value, digits = 1) =>
   typeof value === "number" && Number.isFinite(value)
-    ? value.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits })
+    ? value.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits }).replace(/^-(?=[0.]*$)/, "")
     : "–";
 export const nt = (value, digits = 1) => (typeof value === "number" ? `${fixed(value, digits)} nT` : "–");
 export const time = (text) => (text ? text.slice(0, 19).replace("T", " ") : "–");
@@ -112,9 +113,7 @@ export function problemTable(problem) {
   const body = problem.body ?? { detail: String(problem) };
   return h("div", { class: "notice refuse", role: "alert" }, h("strong", {}, body.detail || body.title),
     body.errors?.length
-      ? h("table", {}, h("caption", {}, `${body.errors.length} fault${body.errors.length > 1 ? "s" : ""}`),
-        h("thead", {}, h("tr", {}, h("th", { scope: "col" }, "where"), h("th", { scope: "col" }, "why"))),
-        h("tbody", {}, body.errors.map((fault) => h("tr", {}, h("td", {}, fault.where), h("td", {}, fault.why)))))
+      ? table([{ name: "where", value: (fault) => fault.where }, { name: "why", value: (fault) => fault.why }], body.errors, { caption: "Faults", file: "faults" })
       : null);
 }
 
@@ -185,5 +184,6 @@ if (toggle) {
   });
 }
 for (const link of document.querySelectorAll("header nav a")) {
-  if (link.getAttribute("href") === location.pathname) link.setAttribute("aria-current", "page");
+  const here = link.getAttribute("href") === (/^\/(satellites|sessions|parameter-sets|compare)/.test(location.pathname) ? "/" : location.pathname);
+  if (here) link.setAttribute("aria-current", link.getAttribute("href") === location.pathname ? "page" : "true");
 }

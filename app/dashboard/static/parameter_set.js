@@ -2,6 +2,7 @@
 import { api, confirm, facts, fixed, form, field, grade, h, listed, may, notice, nt, option, section, short, show, start, SYMBOLS, tiles, time, title } from "./magcal.js";
 import { differenceTable, parameterTable, statisticsTable } from "./parameters.js";
 import { plot } from "./plot.js";
+import { table } from "./table.js";
 
 const id = location.pathname.split("/")[2];
 const CONVENTIONS = ["exact", "first-order", "symmetric", "lower-triangular", "a-matrix", "on-board"];
@@ -60,11 +61,27 @@ function verdict(record) {
 
 function candidates(record) {
   if (!record.candidates.length) return null;
-  const names = ["no.", "cost, nT²", "stationarity", "selected", "bias, nT"];
-  return section("Candidate solutions of the closed form", h("table", {}, h("thead", {}, h("tr", {}, names.map((name) => h("th", { scope: "col" }, name)))),
-    h("tbody", {}, record.candidates.map((one, i) => h("tr", {}, h("td", {}, String(i + 1)), h("td", { class: "n" }, one.cost?.toPrecision(6) ?? "–"),
-      h("td", { class: "n" }, one.stationarity?.toPrecision(2) ?? "–"), h("td", {}, one.selected ? "yes" : "no"),
-      h("td", {}, one.parameters ? one.parameters.bias_nt.map((value) => fixed(value, 1)).join("; ") : one.undefined ?? "undefined"))))));
+  const rows = record.candidates.map((one, i) => ({ number: i + 1, ...one }));
+  return section("Candidate solutions of the closed form", table([
+    { name: "no.", numeric: true, value: (r) => r.number },
+    { name: "cost, nT²", numeric: true, value: (r) => r.cost, show: (r) => r.cost?.toPrecision(6) },
+    { name: "stationarity", numeric: true, value: (r) => r.stationarity, show: (r) => r.stationarity?.toPrecision(2) },
+    { name: "selected", value: (r) => (r.selected ? "yes" : "no") },
+    { name: "bias, nT", value: (r) => r.parameters?.bias_nt.join(" ") ?? r.undefined ?? "undefined",
+      show: (r) => r.parameters ? r.parameters.bias_nt.map((value) => fixed(value, 1)).join("; ") : r.undefined ?? "undefined" },
+  ], rows, { caption: "Candidates", file: `candidates-${record.id}` }));
+}
+
+function ablation(record) {
+  if (!record.ablation?.length) return null;
+  return section("Choice of the model", table([
+    { name: "model", value: (r) => r.name ?? ["9 parameters", ...(r.regressors ?? [])].join(" + "), heads: true },
+    { name: "parameters", numeric: true, value: (r) => r.parameters },
+    { name: "RMS in the fit, nT", numeric: true, value: (r) => r.rms_nt, show: (r) => fixed(r.rms_nt) },
+    { name: "cross-validated, nT", numeric: true, value: (r) => r.cross_validated_rms_nt, show: (r) => fixed(r.cross_validated_rms_nt) },
+    { name: "taken", value: (r) => (r.selected ? "yes" : "") },
+  ], record.ablation, { caption: "Models that were tried", file: `models-${record.id}` }),
+  plot(`/parameter-sets/${id}/figures/ablation`, "Models that were tried", "Taken for the cross-validated residual, never for the residual in the fit.", 260));
 }
 
 function exporter(record) {
@@ -90,26 +107,36 @@ function pointing() {
   const names = { ideal: "perfect magnetometer", raw: "this magnetometer, raw", calibrated: "corrected with this set", active: "corrected with the set in force" };
   place.append(form([], "Simulate", async () => {
     const impact = await api(`/parameter-sets/${id}/pointing`);
-    const shown = ({ max_error_deg, max_rate_error_deg_s }) => h("td", { class: "n" }, `${fixed(max_error_deg, 2)}° (${fixed(max_rate_error_deg_s, 4)}°/s)`);
-    place.replaceChildren(h("table", {},
-      h("caption", {}, `Largest error (and rate error) of the last two orbits, with magnetometer, gyros and wheels alone, in ${impact.field_model}; the worst of 16 sensors drawn from the covariance.`),
-      h("thead", {}, h("tr", {}, h("th", { scope: "col" }, "magnetometer"), impact.orbits.map((orbit) => h("th", { scope: "col", class: "n" }, `${fixed(orbit.altitude_km, 0)} km, ${fixed(orbit.inclination_deg, 1)}°`)))),
-      h("tbody", {}, Object.entries(names).filter(([key]) => impact.orbits[0][key]).map(([key, name]) => h("tr", {}, h("th", { scope: "row" }, name), impact.orbits.map((orbit) => shown(orbit[key])))))));
+    place.replaceChildren(table([
+      { name: "magnetometer", value: (key) => names[key], heads: true },
+      ...impact.orbits.flatMap((orbit) => {
+        const where = `${fixed(orbit.altitude_km, 0)} km, ${fixed(orbit.inclination_deg, 1)}°`;
+        return [{ name: `${where}: error, deg`, numeric: true, value: (key) => orbit[key].max_error_deg, show: (key) => fixed(orbit[key].max_error_deg, 2) },
+          { name: "rate error, deg/s", numeric: true, value: (key) => orbit[key].max_rate_error_deg_s, show: (key) => fixed(orbit[key].max_rate_error_deg_s, 4) }];
+      })], Object.keys(names).filter((key) => impact.orbits[0][key]), { caption: "Pointing impact", file: `pointing-${id}`,
+      note: `Largest errors of the last two orbits, with magnetometer, gyros and wheels alone, in ${impact.field_model}; the worst of 16 sensors drawn from the covariance.` }));
   }));
   return [h("p", { class: "muted" }, "How well attitude by magnetometer would point on this satellite's orbit."), place];
 }
 
 function provenance(record) {
   const { provenance: from } = record;
-  const text = (value) => (value !== null && typeof value === "object" ? JSON.stringify(value) : String(value));
+  const text = (value) => {
+    if (value === null || value === undefined || value === "") return "–";
+    if (Array.isArray(value)) return value.map(text).join(", ") || "none";
+    if (typeof value === "object") return Object.entries(value).map(([name, one]) => `${name.replaceAll("_", " ")} ${text(one)}`).join(", ");
+    return value === true ? "yes" : value === false ? "no" : String(value);
+  };
   return facts([
     ["parameter set", h("code", {}, record.id)], ["created", time(record.created_at)], ["job", h("code", {}, record.job_id)],
     ["sessions", record.session_ids.map((one) => [h("a", { href: `/sessions/${one}` }, short(one)), " "])],
     ...(from.inputs ?? []).map((input, i) => [`input ${i + 1}`, h("code", {}, input.sha256 ?? text(input))]),
     ...(from.orbits ?? []).map((orbit, i) => [`orbit ${i + 1}`, Object.entries(orbit).map(([name, value]) => `${name.replaceAll("_", " ")} ${typeof value === "number" ? fixed(value, Number.isInteger(value) ? 0 : 2) : text(value)}`).join(", ")]),
     ...Object.entries(from.options ?? {}).map(([name, value]) => [name.replaceAll("_", " "), text(value)]),
-    ["software", from.software ? text(from.software) : null]]);
+    ["software", from.software ? software(from.software) : null]]);
 }
+
+const software = ({ name, version, ...parts }) => [`${name} ${version}`, ...Object.entries(parts).map((part) => part.join(" "))].join(", ");
 
 function first_order(record) {
   return record.first_order ? h("p", { class: "muted" }, "First-order parameters of the DEKART paper: scale ",
@@ -139,9 +166,9 @@ async function draw() {
       h("div", { class: "pair" }, figure("histogram", "Distribution", "Dashed: the normal distribution of the same mean and spread."),
         figure("autocorrelation", "Autocorrelation", "Outside the grey band residuals are not white, and formal errors are too small.")),
       h("div", { class: "pair" }, figure("sphere", "On the body sphere", "Residual by the direction of the field in the sensor's frame, equal area.", 400),
-        figure("map", "Over the Earth", "Residual by geocentric latitude and longitude of the satellite.", 420))),
+        figure("map", "Over the Earth", "Residual by geocentric latitude and longitude of the satellite; lines: |B| of IGRF at its height, nT.", 420))),
     section("Correlation", figure("correlation", "Correlation of the parameters", "From the honest covariance.", 410)),
-    record.ablation?.length ? section("Choice of the model", figure("ablation", "Models that were tried", "Taken for the cross-validated residual, never for the residual in the fit.", 260)) : null,
+    ablation(record),
     section("Pointing impact", pointing()),
     candidates(record),
     section("Compare", others),

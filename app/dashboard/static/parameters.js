@@ -1,5 +1,6 @@
 // Parameters by name, as tables show them.
 import { fixed, h } from "./magcal.js";
+import { table } from "./table.js";
 
 const LETTER = { bias_nt: "b", scale: "k", nonorthogonality_deg: "ε" };
 const UNIT = { bias_nt: "nT", scale: "", nonorthogonality_deg: "deg", time_offset_s: "s" };
@@ -24,47 +25,47 @@ export function symbol(name) {
 
 export const unit = (name) => UNIT[split(name).group] ?? `nT per ${split(name).group.slice(11)}`;
 export const digits = (name) => DIGITS[split(name).group] ?? 3;
-export const shown = (name, value) => fixed(value, digits(name));
+
+const named = (name) => ({ name, value: symbol, heads: true });
+const number = (name, value, places, more = {}) => ({ name, numeric: true, value, show: (row) => fixed(value(row), places(row)), ...more });
 
 export function parameterTable(record) {
-  const rows = record.parameter_names.map((name) => {
-    const honest = valueOf(record.standard_errors, name);
-    const formal = valueOf(record.formal_standard_errors, name);
-    return h("tr", {}, h("th", { scope: "row" }, symbol(name)), h("td", {}, h("code", {}, name)),
-      h("td", { class: "n strong" }, shown(name, valueOf(record.parameters, name))), h("td", {}, unit(name)),
-      h("td", { class: "n" }, shown(name, honest)), h("td", { class: "n" }, shown(name, formal)),
-      h("td", { class: "n" }, honest && formal ? fixed(honest / formal, 1) : "–"));
-  });
-  const names = ["symbol", "name", "value", "unit", "standard error", "formal", "ratio"];
-  return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Parameters" }, h("table", {},
-    h("caption", {}, "The standard error holds under correlated residuals; the formal one is what white noise alone would give."),
-    h("thead", {}, h("tr", {}, names.map((name, i) => h("th", { scope: "col", class: i === 2 || i > 3 ? "n" : "" }, name)))),
-    h("tbody", {}, rows)));
+  const of = (parameters) => (name) => valueOf(parameters, name);
+  const ratio = (name) => of(record.standard_errors)(name) / of(record.formal_standard_errors)(name);
+  return table([
+    named("symbol"),
+    { name: "name", value: (name) => name, show: (name) => h("code", {}, name) },
+    number("value", of(record.parameters), digits, { strong: true }),
+    { name: "unit", value: unit },
+    number("standard error", of(record.standard_errors), digits),
+    number("formal", of(record.formal_standard_errors), digits),
+    number("ratio", ratio, () => 1),
+  ], record.parameter_names, { caption: "Parameters", file: `parameters-${record.id}`,
+    note: "The standard error holds under correlated residuals; the formal one is what white noise alone would give." });
 }
 
 // What changes from one set to another, in numbers and in combined standard errors.
 export function differenceTable(before, after, headings = ["in force now", "new", "change"]) {
-  const rows = after.parameter_names.map((name) => {
-    const [old, made] = [valueOf(before.parameters, name), valueOf(after.parameters, name)];
-    const spread = Math.hypot(valueOf(before.standard_errors, name) ?? 0, valueOf(after.standard_errors, name) ?? 0);
-    const known = old !== null && made !== null;
-    const errors = known && spread ? (made - old) / spread : null;
-    return h("tr", { class: errors !== null && Math.abs(errors) > 3 ? "large" : "" }, h("th", { scope: "row" }, symbol(name)),
-      h("td", { class: "n" }, shown(name, old)), h("td", { class: "n" }, shown(name, made)),
-      h("td", { class: "n strong" }, known ? shown(name, made - old) : "–"), h("td", {}, unit(name)),
-      h("td", { class: "n" }, errors === null ? "–" : fixed(errors, 1)));
-  });
-  const names = ["parameter", ...headings, "unit", "in standard errors"];
-  return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Differences" }, h("table", {},
-    h("thead", {}, h("tr", {}, names.map((name, i) => h("th", { scope: "col", class: i && i !== 4 ? "n" : "" }, name)))), h("tbody", {}, rows)));
+  const [old, made] = [before, after].map((record) => (name) => valueOf(record.parameters, name));
+  const change = (name) => (old(name) === null || made(name) === null ? null : made(name) - old(name));
+  const spread = (name) => Math.hypot(valueOf(before.standard_errors, name) ?? 0, valueOf(after.standard_errors, name) ?? 0);
+  const errors = (name) => (change(name) === null || !spread(name) ? null : change(name) / spread(name));
+  const names = [...after.parameter_names, ...before.parameter_names.filter((name) => !after.parameter_names.includes(name))];
+  return table([
+    named("parameter"),
+    number(headings[0], old, digits),
+    number(headings[1], made, digits),
+    number(headings[2], change, digits, { strong: true }),
+    { name: "unit", value: unit },
+    number("in standard errors", errors, () => 1),
+  ], names, { caption: "Differences", file: `differences-${before.id}-${after.id}`, look: (name) => (Math.abs(errors(name)) > 3 ? "large" : "") });
 }
 
 export function statisticsTable(statistics) {
-  const names = ["residual, nT", "mean", "standard deviation", "RMS", "largest", "largest, % of |B|"];
-  const row = (name, part) => h("tr", {}, h("th", { scope: "row" }, name),
-    [["mean_nt", 1], ["std_nt", 1], ["rms_nt", 1], ["max_abs_nt", 1], ["max_percent", 2]].map(([key, places]) =>
-      h("td", { class: "n" }, fixed(part[key], places))));
-  return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Residual statistics" }, h("table", {},
-    h("thead", {}, h("tr", {}, names.map((name, i) => h("th", { scope: "col", class: i ? "n" : "" }, name)))),
-    h("tbody", {}, row("before", statistics.before), row("after", statistics.after))));
+  const part = (name, key, places) => number(name, (row) => statistics[row][key], () => places);
+  return table([
+    { name: "residual, nT", value: (row) => row, heads: true },
+    part("mean", "mean_nt", 1), part("standard deviation", "std_nt", 1), part("RMS", "rms_nt", 1),
+    part("largest", "max_abs_nt", 1), part("largest, % of |B|", "max_percent", 2),
+  ], ["before", "after"], { caption: "Residual statistics", file: "residual-statistics" });
 }

@@ -96,14 +96,15 @@ function historyOf(magnetometer, hasSets) {
   const figures = hasSets ? [
     plot(address("history"), "Bias, scale and angles over time", "Bars are one honest standard error; ● accept, ◆ weak, ✕ refuse; the line joins sets in order of their data.", 600),
     h("div", { class: "pair" },
-      plot(address("residual"), "Residual over time", "Residual RMS of each set in its fit, and cross-validated.", 280),
+      plot(address("residual"), "Residual over time", "Marks by verdict: residual RMS of each set in its fit; dashes: cross-validated.", 280),
       plot(address("orbit-age"), "Age of the orbit", "Dotted lines: 3 days, from where on it is called old, and 14 days, from where on it is refused.", 280)),
     plot(address("sessions"), "Sessions and activations", "Each session by the verdict of its newest set; bars show which set was in force.", 240),
   ] : [];
   magnetometer.addEventListener("change", () => {
     ["history", "residual", "orbit-age", "sessions"].forEach((name, i) => replot(place.querySelectorAll("figure")[i], address(name)));
   });
-  if (figures.length) place.append(section("History", ...figures));
+  const choice = magnetometer.length > 1 ? h("p", { class: "choice" }, h("label", {}, "of magnetometer ", magnetometer)) : null;
+  if (figures.length) place.append(section("History", choice, ...figures));
   return place;
 }
 
@@ -111,7 +112,7 @@ start(async () => {
   title(id);
   const [satellite, { items: states }] = await Promise.all([api(`/satellites/${id}`), api(`/overview?satellite=${id}`)]);
   const names = satellite.magnetometers.map((one) => one.id);
-  const magnetometer = h("select", { "aria-label": "Magnetometer of the history" }, names.map((name) => option(name)));
+  const magnetometer = h("select", {}, names.map((name) => option(name)));
   const sessionsPlace = section("Sessions", h("p", { class: "muted" }, "Loading …"));
   const orbitsPlace = section("Orbits", h("p", { class: "muted" }, "Loading …"));
   const setsPlace = section("Parameter sets", h("p", { class: "muted" }, "Loading …"));
@@ -120,7 +121,6 @@ start(async () => {
     states.filter((row) => row.magnetometer).map(statusOf),
     !names.length ? h("div", { class: "empty" }, h("h2", {}, "Next step: add its magnetometer"), may("operate") ? addMagnetometer() : null) : null,
     names.length && may("ingest") ? section("Upload telemetry", uploader(id, satellite.magnetometers)) : null,
-    names.length > 1 ? h("p", {}, "History of ", magnetometer) : null,
     setsPlace, historyOf(magnetometer, states.some((row) => row.newest)), sessionsPlace, orbitsPlace,
     may("operate") && names.length ? h("details", {}, h("summary", {}, "Add a magnetometer"), addMagnetometer()) : null);
 

@@ -10,11 +10,11 @@ function calibrate(session) {
   const progress = h("div", { "aria-live": "polite" });
   const keeping = session.columns.filter((name) => !/^(time|[bq][wxyz]|ref_.*|[xyz]_km)$/.test(name));
   const node = form([
-    field("method", "Method", {}, [option("scalar", "scalar: |B| only, no attitude needed"), option("vector", "vector: attitude known"),
-      option("scalar-hooke-jeeves", "scalar-hooke-jeeves: the DEKART paper's search"), option("vector-closed-form", "vector-closed-form: the Lagrange paper")]),
+    field("method", "Method", {}, [option("scalar", "scalar (no attitude needed)"), option("vector", "vector (attitude known)"),
+      option("scalar-hooke-jeeves", "scalar-hooke-jeeves (DEKART)"), option("vector-closed-form", "vector-closed-form (Lagrange)")]),
     field("orbit", "Orbit", {}, [option("sgp4"), option("numerical")]),
-    field("time_offset", "Clock offset", {}, [option("auto", "auto: where the orbit is old and the data can show it"), option("none"), option("estimate")]),
-    field("robust", "Outliers", {}, [option("none", "none: plain least squares"), option("huber"), option("soft_l1"), option("cauchy"), option("tukey")]),
+    field("time_offset", "Clock offset", {}, [option("auto", "auto (where the orbit is old)"), option("none"), option("estimate")]),
+    field("robust", "Outliers", {}, [option("none", "none (least squares)"), option("huber"), option("soft_l1"), option("cauchy"), option("tukey")]),
     field("regressors", `Regressors${keeping.length ? ` (${keeping.join(", ")})` : ""}`, { placeholder: "none; names, or auto" }),
     field("max_orbit_age_days", "Oldest orbit, days", { type: "number", min: 0, step: "any", placeholder: "14" }),
   ], "Calibrate", async (values) => {
@@ -44,7 +44,7 @@ start(async () => {
     tiles(["samples", fixed(session.samples, 0), `${fixed(session.used_samples, 0)} usable`],
       ["|B| measured, nT", measured], ["coverage of the body sphere", coverage, "by raw direction"],
       ["step", quality.step_s ? `${fixed(quality.step_s, 2)} s` : "–", quality.span_s ? `${fixed(quality.span_s / 3600, 2)} h` : null],
-      ["gaps", quality.gaps === undefined ? "–" : String(quality.gaps), quality.longest_gap_s ? `longest ${fixed(quality.longest_gap_s, 0)} s` : null]),
+      ["gaps", quality.gaps === undefined ? "–" : String(quality.gaps), quality.gaps && quality.longest_gap_s ? `longest ${fixed(quality.longest_gap_s, 0)} s` : null]),
     session.state === "open" ? h("p", { class: "notice weak" }, "This session is open: further chunks may arrive.") : null,
     may("operate") && session.samples ? h("section", { id: "calibrate" }, h("h2", {}, "Calibrate"), calibrate(session)) : null,
     setsPlace,

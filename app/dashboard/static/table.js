@@ -3,8 +3,8 @@ import { h } from "./magcal.js";
 
 const PAGE = 50;
 
-// columns: [{ name, value: row => number|string, show?: row => text or node, numeric?: bool }]
-export function table(columns, rows, { caption, file = "table", empty = "Nothing here yet.", sort = null } = {}) {
+// columns: [{ name, value: row => number|string, show?: row => text or node, numeric?: bool, heads?: bool, strong?: bool }]
+export function table(columns, rows, { caption, file = "table", empty = "Nothing here yet.", sort = null, note = null, look = () => "" } = {}) {
   if (!rows.length) return h("p", { class: "muted" }, empty);
   const order = { column: sort?.column ?? null, up: sort?.up ?? false };
   let wanted = "";
@@ -46,8 +46,9 @@ export function table(columns, rows, { caption, file = "table", empty = "Nothing
       if (order.column === i) cell.setAttribute("aria-sort", order.up ? "ascending" : "descending");
       else cell.removeAttribute("aria-sort");
     });
-    body.replaceChildren(...all.slice(0, most).map((row) => h("tr", {}, columns.map((column) =>
-      h("td", { class: column.numeric ? "n" : "" }, (column.show ?? ((r) => text(column, r)))(row) ?? "–")))));
+    body.replaceChildren(...all.slice(0, most).map((row) => h("tr", { class: look(row) || null }, columns.map((column) =>
+      h(column.heads ? "th" : "td", { scope: column.heads ? "row" : null, class: `${column.numeric ? "n" : ""}${column.strong ? " strong" : ""}` },
+        (column.show ?? ((r) => text(column, r)))(row) ?? "–")))));
     count.textContent = wanted ? `${all.length} of ${rows.length}` : `${rows.length}`;
     more.hidden = all.length <= most;
     more.textContent = `Show more (${all.length - most} hidden)`;
@@ -66,5 +67,5 @@ export function table(columns, rows, { caption, file = "table", empty = "Nothing
   return h("div", { class: "table" },
     h("div", { class: "tools" }, filter, count, h("button", { type: "button", class: "quiet", onclick: save, "aria-label": `Save ${caption} as CSV` }, "CSV")),
     h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": caption },
-      h("table", {}, h("thead", {}, h("tr", {}, head)), body)), more);
+      h("table", {}, note ? h("caption", {}, note) : null, h("thead", {}, h("tr", {}, head)), body)), more);
 }
