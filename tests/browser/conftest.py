@@ -14,7 +14,7 @@ from pathlib import Path
 
 import httpx2
 import pytest
-from playwright.sync_api import Browser, BrowserContext, Page, Request, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, Page, Request, expect, sync_playwright
 
 MAGCAL = Path(sys.executable).with_name("magcal")
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
@@ -28,6 +28,7 @@ FLAGS = [
     "--disable-sync",
 ]
 START_S = 60.0
+expect.set_options(timeout=30_000)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ pytestmark = pytest.mark.browser
 PICTURES = Path(__file__).resolve().parents[2] / "artefacts" / "pages"
 PAGES = ["overview", "satellite", "session", "parameter-set", "compare", "jobs", "keys"]
 DRAWN_S = 60.0
-LOOKS = [("light", 1366, 768), ("dark", 1366, 768), ("light", 1920, 1080), ("dark", 1920, 1080)]
+DRAWN_MS = 60_000
+LOOKS = [("light", 1366, 768), ("dark", 1366, 768), ("light", 2560, 1440), ("dark", 2560, 1440)]
 
 
 @pytest.fixture(scope="module")
@@ -139,6 +140,41 @@ def test_a_table_sorts_filters_and_saves_what_it_shows(window: Watched, addresse
     assert [row["method"] for row in saved] == ["scalar-hooke-jeeves"]
 
 
+@pytest.mark.parametrize("name", PAGES)
+def test_every_table_sorts_filters_and_exports(name: str, window: Watched, addresses: dict[str, str]) -> None:
+    """Tables of facts, a name and a value a row, are no tables of data."""
+    page = window.open(addresses[name])
+    page.wait_for_load_state("networkidle")
+    expect(page.locator(".table").first).to_be_visible()
+    bare = page.locator("table:not(.facts)").evaluate_all("(all) => all.filter((one) => !one.closest('.table')).length")
+    assert bare == 0
+    for found in page.locator(".table").all():
+        expect(found.get_by_role("searchbox")).to_be_visible()
+        expect(found.get_by_role("button", name="as CSV")).to_be_visible()
+        heading = found.get_by_role("columnheader").first
+        heading.get_by_role("button").click()
+        assert heading.get_attribute("aria-sort") in {"ascending", "descending"}
+
+
+def test_pointing_impact_is_simulated_where_it_is_asked_for(window: Watched, addresses: dict[str, str]) -> None:
+    page = window.open(addresses["parameter-set"])
+    page.get_by_role("button", name="Simulate").click()
+    rows = page.get_by_role("region", name="Pointing impact").locator("tbody tr")
+    expect(rows).to_have_count(4, timeout=DRAWN_MS)
+    raw, calibrated = (float(rows.nth(i).locator("td").first.inner_text()) for i in (1, 2))
+    assert calibrated < raw
+
+
+def test_an_on_board_table_is_saved_as_a_c_header(window: Watched, addresses: dict[str, str]) -> None:
+    page = window.open(addresses["parameter-set"])
+    page.get_by_label("Convention").select_option("on-board")
+    page.get_by_label("Format").select_option("c")
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Save", exact=True).click()
+    assert download.value.suggested_filename.endswith("-on-board.h")
+    assert "MAGCAL_ROTATION[3][3]" in Path(download.value.path()).read_text()
+
+
 def test_dark_and_light_are_kept_and_the_figures_follow(window: Watched, addresses: dict[str, str]) -> None:
     page = window.open(addresses["parameter-set"])
     plot = page.locator(".plot").first
@@ -150,13 +186,14 @@ def test_dark_and_light_are_kept_and_the_figures_follow(window: Watched, address
 
 
 def test_numbers_come_before_the_plot_library(window: Watched, addresses: dict[str, str]) -> None:
-    """The library's answer is held back by two seconds; the numbers do not wait for it."""
-    page = window.page
-    page.route("**/assets/plotly-*", lambda route: (time.sleep(2.0), route.continue_()))
-    page.goto(window.service.url + addresses["parameter-set"])
-    expect(page.locator(".tiles dd").first).to_contain_text("nT", timeout=1500)
+    """The library is not let through before the numbers are there."""
+    page, held = window.page, []
+    page.route("**/assets/plotly-*", held.append)
+    page.goto(window.service.url + addresses["parameter-set"], wait_until="commit")
+    expect(page.locator(".tiles dd").first).to_contain_text("nT")
     assert page.evaluate("() => typeof window.Plotly") == "undefined"
-    page.unroute_all(behavior="wait")
+    for route in held:
+        route.continue_()
 
 
 def test_the_report_opens_from_its_page_and_draws_all_figures(window: Watched, addresses: dict[str, str]) -> None:
