@@ -30,6 +30,7 @@ from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.orm import DeclarativeBase, Session
 from sqlalchemy.pool import ConnectionPoolEntry
 from sqlalchemy.sql.compiler import SQLCompiler
+from sqlalchemy.sql.visitors import InternalTraversal
 from sqlalchemy.types import TypeDecorator
 
 from app.settings import Settings
@@ -92,7 +93,7 @@ JsonColumn: Final = JSON(none_as_null=True).with_variant(JSONB(none_as_null=True
 class DatabaseNow(ColumnElement[datetime]):
     """The database's clock, moved by ``offset_s``; leases are told by it, never by a worker's clock."""
 
-    inherit_cache = False
+    _traverse_internals = [("offset_s", InternalTraversal.dp_plain_obj)]  # noqa: RUF012  part of a statement's cache key
     type = UtcDateTime()
 
     def __init__(self, offset_s: float = 0.0) -> None:

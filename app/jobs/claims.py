@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from sqlalchemy import ColumnElement, and_, case, exists, or_, select, update
-from sqlalchemy.orm import Session, aliased
+from sqlalchemy import ColumnElement, and_, case, or_, select, update
+from sqlalchemy.orm import Session
 
 from app.database import DatabaseNow
 from app.errors import Problem, ServiceError, problem
@@ -49,32 +49,40 @@ def is_work_waiting(session: Session) -> bool:
 
 
 def claim_next(session: Session, worker: str, lease_s: float, most_lost: int) -> Claim | None:
-    """Return a claim on the first job that waits or whose worker is lost, if there is one."""
-    bury_lost(session, most_lost)
-    other = aliased(Job)
-    is_locked = exists().where(other.lock == Job.lock, other.id != Job.id, _is_alive(other))
-    first = (
-        select(Job.id)
-        .where(_is_free(), or_(Job.lock.is_(None), ~is_locked))
-        .order_by(Job.priority.desc(), Job.id)
-        .limit(1)
-        .scalar_subquery()
-    )
+    """Return a claim on a job whose worker is lost, or else on the one whose turn it is, if there is one."""
+    claim = None
+    if session.scalar(select(Job.id).where(_is_lapsed()).limit(1)) is not None:
+        bury_lost(session, most_lost)
+        claim = _claim_first(session, _is_lapsed(), worker, lease_s)
+    return claim or _claim_first(session, Job.state == "queued", worker, lease_s)
+
+
+def _claim_first(session: Session, state: ColumnElement[bool], worker: str, lease_s: float) -> Claim | None:
+    held = select(Job.lock).where(_is_alive(), Job.lock.is_not(None))
+    free = select(Job.id).where(state, or_(Job.lock.is_(None), Job.lock.not_in(held)))
+    first = free.order_by(Job.rank, Job.id).limit(1).scalar_subquery()
     return _claim(session, Job.id == first, worker, lease_s)
 
 
 def claim_one(session: Session, job_id: str, worker: str, lease_s: float, most_lost: int) -> Claim | None:
     """Return a claim on the job ``job_id``, unless it has ended or another attempt holds it."""
-    bury_lost(session, most_lost)
-    return _claim(session, and_(Job.id == job_id, _is_free()), worker, lease_s)
+    claim = _claim(session, and_(Job.id == job_id, Job.state == "queued"), worker, lease_s)
+    if claim is None:
+        bury_lost(session, most_lost)
+        claim = _claim(session, and_(Job.id == job_id, _is_lapsed()), worker, lease_s)
+    return claim
+
+
+def _is_lapsed() -> ColumnElement[bool]:
+    return and_(Job.state == "running", Job.lease_until < DatabaseNow())
 
 
 def _is_free() -> ColumnElement[bool]:
-    return or_(Job.state == "queued", and_(Job.state == "running", Job.lease_until < DatabaseNow()))
+    return or_(Job.state == "queued", _is_lapsed())
 
 
-def _is_alive(job: type[Job]) -> ColumnElement[bool]:
-    return and_(job.state == "running", job.lease_until >= DatabaseNow())
+def _is_alive() -> ColumnElement[bool]:
+    return and_(Job.state == "running", Job.lease_until >= DatabaseNow())
 
 
 def _claim(session: Session, which: ColumnElement[bool], worker: str, lease_s: float) -> Claim | None:
@@ -98,7 +106,7 @@ def _claim(session: Session, which: ColumnElement[bool], worker: str, lease_s: f
 
 def bury_lost(session: Session, most_lost: int) -> int:
     """Return how many jobs end here: those that lost their last worker, and those lost while being cancelled."""
-    lost = and_(Job.state == "running", Job.lease_until < DatabaseNow())
+    lost = _is_lapsed()
     cancelled = _end(session, and_(lost, Job.cancel_requested), "cancelled", None, None)
     why = problem(500, DEAD, f"the job lost its worker {most_lost} times; the last attempt gave no sign of life")
     dead = _end(session, and_(lost, Job.lost_attempts + 1 >= most_lost), "failed", why, None)

@@ -57,7 +57,7 @@ class ClusterQueue:
         connection = session.connection().connection.driver_connection
         for job in jobs:
             deferrer = self._app.configure_task(
-                TASK, queue="magcal", lock=job.lock, priority=job.priority, connection=connection
+                TASK, queue="magcal", lock=job.lock, priority=-job.rank, connection=connection
             )
             try:
                 job.queue_id = deferrer.defer(job_id=job.id)

@@ -14,6 +14,7 @@ from app.jobs.port import Queue
 from app.jobs.reprocessing import KIND, cancel_reprocessing, progress_of, settle
 from app.jobs.schemas import JobBody, JobQuery, JobRead
 from app.jobs.tables import Job, JobSession
+from app.jobs.turns import take_turns
 from app.keys.repository import Caller, record_event
 from app.paging import fetch_page
 
@@ -52,6 +53,7 @@ class JobRepository:
             created_at=utc_now(),
             created_by=self.caller.key_id,
         )
+        take_turns(self.session, [job])
         queue.enqueue(self.session, [job])
         self.session.flush()
         self.session.add_all(JobSession(job_id=job.id, session_id=one) for one in admission.session_ids)

@@ -16,6 +16,7 @@ from app.errors import ConflictError
 from app.jobs.port import Queue
 from app.jobs.schemas import ReprocessingBody
 from app.jobs.tables import Job, JobSession
+from app.jobs.turns import take_turns
 from app.keys.repository import Caller, record_event
 from app.satellites.repository import SatelliteRepository, within_reach
 from app.satellites.tables import Magnetometer
@@ -57,6 +58,7 @@ def submit_reprocessing(session: Session, caller: Caller, body: ReprocessingBody
         )
         for row in chosen
     ]
+    take_turns(session, jobs)
     queue.enqueue(session, jobs)
     session.flush()
     session.add_all(JobSession(job_id=job.id, session_id=row.id) for job, row in zip(jobs, chosen, strict=True))

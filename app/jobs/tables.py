@@ -17,7 +17,8 @@ class Job(Base):
     __table_args__ = (
         CheckConstraint("state IN ('queued', 'running', 'succeeded', 'failed', 'cancelled')", name="state"),
         CheckConstraint("progress >= 0 AND progress <= 1", name="progress"),
-        Index(None, "state", "priority", "id"),
+        Index(None, "state", "rank", "id"),
+        Index(None, "satellite_id", "state", "rank"),
         Index(None, "state", "id"),
         Index(None, "created_by", "state"),
         Index(None, "satellite_id", "id"),
@@ -28,6 +29,7 @@ class Job(Base):
     kind: Mapped[str] = mapped_column(String(32))
     state: Mapped[str] = mapped_column(String(16))
     priority: Mapped[int]
+    rank: Mapped[int] = mapped_column(server_default="0")
     satellite_id: Mapped[str | None] = mapped_column(ForeignKey("satellite.id"))
     magnetometer_id: Mapped[str | None] = mapped_column(String(63))
     parent_id: Mapped[str | None] = mapped_column(ForeignKey("job.id"))
