@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
+import structlog
 from alembic import command
 from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
@@ -20,6 +21,7 @@ from app.errors import ConflictError
 from app.keys.repository import KeyRepository, Scope
 from app.settings import Settings
 
+log = structlog.get_logger()
 LOCK: Final = 0x6D616763616C  # "magcal", for pg_advisory_lock
 
 
@@ -75,21 +77,56 @@ def _alone(database: Database, settings: Settings) -> Iterator[None]:
 
 
 def upgrade(database: Database, settings: Settings) -> None:
-    """Bring the database to this version's schema."""
+    """Bring the database to this version's schema, or leave it where a later version of magcal has brought it.
+
+    Migrations only add, so that processes of the version before go on, and may start, while one is rolled out.
+    """
     with _alone(database, settings):
-        if current(database) == head():
+        found = current(database)
+        if found == head():
+            return
+        if found is not None and found not in _known():
+            log.warning("schema_is_newer", revision=found, known=head())
             return
         migrate(database, "head")
 
 
+def _known() -> set[str]:
+    return {one.revision for one in ScriptDirectory.from_config(alembic_config()).walk_revisions()}
+
+
 def migrate(database: Database, revision: str) -> None:
     """Move the database up or down to ``revision``."""
-    with database.engine.execution_options(**{WRITES: True}).connect() as connection, connection.begin():
+    engine = database.engine.execution_options(**{WRITES: True})
+    with engine.connect() as connection, _loose(connection), connection.begin():
         config = alembic_config(connection)
         known = MigrationContext.configure(connection).get_current_revision()
         script = ScriptDirectory.from_config(config)
         goes_down = known is not None and revision != "head" and revision in _ancestors(script, known)
         (command.downgrade if goes_down else command.upgrade)(config, revision)
+        _check_references(connection)
+
+
+@contextmanager
+def _loose(connection: Connection) -> Iterator[None]:
+    """Let SQLite make tables anew that others refer to, which it does not while it guards the references.
+
+    It takes this word only between transactions.
+    """
+    raw = connection.connection.driver_connection
+    if connection.dialect.name != "sqlite" or raw is None:
+        yield
+        return
+    raw.execute("PRAGMA foreign_keys=OFF")
+    try:
+        yield
+    finally:
+        raw.execute("PRAGMA foreign_keys=ON")
+
+
+def _check_references(connection: Connection) -> None:
+    if connection.dialect.name == "sqlite" and connection.execute(text("PRAGMA foreign_key_check")).first() is not None:
+        raise ConflictError("the migration would leave rows that refer to nothing; nothing was changed")
 
 
 def _ancestors(script: ScriptDirectory, revision: str) -> set[str]:
