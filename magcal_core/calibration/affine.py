@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.calibration.fit import BlockScores, block_moments, block_starts
+from magcal_core.calibration.fit import BlockScores, block_starts
+from magcal_core.calibration.regression import Regression
 from magcal_core.calibration.uncertainty import honest_covariance
-from magcal_core.calibration.weights import robust_sigma, weights_and_slopes
 
 Floats = NDArray[np.float64]
 
@@ -57,34 +57,26 @@ def fit_affine(x: Floats, y: Floats, weights: Floats, *, is_robust: bool) -> Aff
 
     The rows share their weights, and scores of all twelve unknowns are summed block by block.
     """
-    total, floor = weights, 1e-12 * float(np.abs(y).max())
-    for _ in range(_ROUNDS if is_robust else 1):
-        matrix, offset = _solve(x, y, total)
-        residuals = y - x @ matrix.T - offset
-        if is_robust:
-            worst = np.linalg.norm(residuals, axis=1)
-            sigma = robust_sigma(worst[weights > 0], floor) / np.sqrt(3.0)
-            total = weights * weights_and_slopes(worst / np.sqrt(3.0), "huber", sigma)[0]
-    return Affine(matrix, offset, _covariance(x, residuals, total), residuals, total)
+    regression = Regression(x.T, y.T, np.ones((3, 3), dtype=bool), weights)
+    if is_robust:
+        total = regression.reweigh_whole(weights, _ROUNDS)
+    else:
+        regression.solve(weights)
+        total = weights
+    matrix = regression.coefficients[:, :3].copy()
+    offset = regression.coefficients[:, 3] - matrix @ regression.centre
+    residuals = np.ascontiguousarray(regression.residuals.T)
+    return Affine(matrix, offset, _covariance(regression, x, total), residuals, total)
 
 
-def _solve(x: Floats, y: Floats, weights: Floats) -> tuple[Floats, Floats]:
-    share = weights / weights.sum()
-    x_middle, y_middle = share @ x, share @ y
-    left = (x - x_middle) * np.sqrt(share)[:, None]
-    right = (y - y_middle) * np.sqrt(share)[:, None]
-    matrix = np.linalg.lstsq(left, right, rcond=None)[0].T
-    return matrix, y_middle - matrix @ x_middle
-
-
-def _covariance(x: Floats, residuals: Floats, weights: Floats) -> Floats:
+def _covariance(regression: Regression, x: Floats, weights: Floats) -> Floats:
     n = len(x)
     # Scaled so that the normal matrix is near unity: x is in nT, the constant is 1.
-    scale = np.array([*np.sqrt(np.mean(x**2, axis=0)), 1.0])
-    design = np.column_stack([x, np.ones(n)]) / scale
+    scale = np.array([*np.sqrt(np.einsum("ij,ij->j", x, x) / n), 1.0])
     starts = block_starts(n, _BLOCKS)
-    weighted = design * weights[:, None]
-    moments, errors = block_moments(weighted, design, starts), block_moments(weighted, residuals, starts)
+    sums = regression.blocks(weights, starts)
+    moments = sums[:, :4, :4] / np.outer(scale, scale)
+    errors = sums[:, :4, 4:7] / scale[:, None]
     normals = np.zeros((len(starts), 12, 12))
     for axis in range(3):
         at = slice(4 * axis, 4 * axis + 4)
@@ -93,6 +85,6 @@ def _covariance(x: Floats, residuals: Floats, weights: Floats) -> Floats:
     own = np.diag(np.tile(1.0 / scale, 3))
     inverse = np.linalg.inv(moments.sum(axis=0))
     dof = max(float(np.count_nonzero(weights > 0)) - 4.0, 1.0)
-    variances = np.sum(weights[:, None] * residuals**2, axis=0) / dof
+    variances = weights @ regression.residuals.T**2 / dof
     formal = own @ np.kron(np.diag(variances), inverse) @ own
     return honest_covariance(BlockScores(scores, normals, starts, own), formal, n).covariance

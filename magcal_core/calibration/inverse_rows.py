@@ -8,11 +8,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.calibration.regression import Regression
 from magcal_core.calibration.weights import robust_sigma, weights_and_slopes
 
 Floats = NDArray[np.float64]
-
-_ROUNDS: Final = 100
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,12 +79,45 @@ class InverseRows:
         return jacobian
 
 
+_TAKES: Final = np.array([[0, 0, 1, 0, 0], [1, 0, 0, 1, 0], [1, 1, 0, 0, 1]], dtype=bool)
+"""Which of (B1, B2, h1, h2, h3) explain B1, B2 and B3."""
+
+
 def fit_inverse_rows(h_nt: Floats, b_nt: Floats, weights: Floats, noise_nt: Floats | None = None) -> InverseRows:
-    """Return the weighted regressions by centred QR.
+    """Return the weighted regressions.
 
     ``noise_nt``, shape (3,): noise of the readings, nT; where given, its square is taken from the readings' variance,
     which removes the attenuation that noise in a regressor causes.
+
+    Raises
+    ------
+    NotObservableError
+        A reading is a combination of the field's components.
     """
+    if noise_nt is not None:
+        return _without_attenuation(h_nt, b_nt, weights, noise_nt)
+    regression = _regression(h_nt, b_nt, weights)
+    regression.solve(weights)
+    return _rows(regression, h_nt, b_nt, weights)
+
+
+def _regression(h_nt: Floats, b_nt: Floats, weights: Floats) -> Regression:
+    return Regression(np.concatenate([b_nt[:, :2].T, h_nt.T]), b_nt.T, _TAKES, weights)
+
+
+def _rows(regression: Regression, h_nt: Floats, b_nt: Floats, weights: Floats) -> InverseRows:
+    count, found = int(np.count_nonzero(weights > 0)), regression.coefficients
+    below = np.zeros((3, 3))
+    below[:, :2] = -found[:, :2]
+    intercepts = found[:, -1] - found[:, :-1] @ regression.centre
+    freedom = np.maximum(count - np.arange(3) - 2, 1)
+    sigma = np.maximum(np.sqrt(regression.squares / freedom), regression.smallest)
+    residuals = np.ascontiguousarray(regression.residuals.T)
+    return InverseRows(h_nt, b_nt, np.diag(found[:, 2:5]).copy(), below, intercepts, residuals, sigma, weights)
+
+
+def _without_attenuation(h_nt: Floats, b_nt: Floats, weights: Floats, noise_nt: Floats) -> InverseRows:
+    """Return the regressions with the noise of the readings, shape (3,), nT, taken from their variance."""
     count, total = int(np.count_nonzero(weights > 0)), float(weights.sum())
     root = np.sqrt(weights)
     gains, below, intercepts = np.zeros(3), np.zeros((3, 3)), np.zeros(3)
@@ -95,13 +127,9 @@ def fit_inverse_rows(h_nt: Floats, b_nt: Floats, weights: Floats, noise_nt: Floa
         centre, middle = weights @ raw / total, float(weights @ b_nt[:, axis] / total)
         spread = np.maximum(np.sqrt(weights @ (raw - centre) ** 2 / total), 1e-300)
         columns, target = (raw - centre) / spread * root[:, None], (b_nt[:, axis] - middle) * root
-        if noise_nt is None:
-            q, r = np.linalg.qr(columns)
-            solution = np.linalg.solve(r, q.T @ target) / spread
-        else:
-            moments = columns.T @ columns
-            moments[-1, -1] -= total * (noise_nt[axis] / spread[-1]) ** 2
-            solution = np.linalg.solve(moments, columns.T @ target) / spread
+        moments = columns.T @ columns
+        moments[-1, -1] -= total * (noise_nt[axis] / spread[-1]) ** 2
+        solution = np.linalg.solve(moments, columns.T @ target) / spread
         gains[axis], below[axis, :axis] = solution[-1], -solution[:-1]
         intercepts[axis] = middle - centre @ solution
         errors[:, axis] = (b_nt[:, axis] - middle) - (raw - centre) @ solution
@@ -111,23 +139,26 @@ def fit_inverse_rows(h_nt: Floats, b_nt: Floats, weights: Floats, noise_nt: Floa
 
 
 def reweighted_inverse(h_nt: Floats, b_nt: Floats, prior: Floats, robust: str) -> InverseRows:
-    """Return the regressions under a robust loss; the worst of a sample's three residuals decides its weight."""
-    rows = fit_inverse_rows(h_nt, b_nt, prior)
+    """Return the regressions under a robust loss; the worst of a sample's three residuals decides its weight.
+
+    Raises
+    ------
+    NotObservableError
+        A reading is a combination of the field's components.
+    """
+    regression = _regression(h_nt, b_nt, prior)
+    regression.solve(prior)
     if robust == "none":
-        return rows
-    used, floor = prior > 0, 1e-12 * float(np.abs(b_nt).max())
+        return _rows(regression, h_nt, b_nt, prior)
     for name in dict.fromkeys(("soft_l1", robust)):
-        rounds, is_converged, previous = 0, False, rows
-        while rounds < _ROUNDS and not is_converged:
-            scales = [robust_sigma(rows.residuals_nt[used, axis], floor) for axis in range(3)]
-            weight, slope = weights_and_slopes(np.abs(rows.residuals_nt / scales).max(axis=1), name, 1.0)
-            rows = fit_inverse_rows(h_nt, b_nt, prior * weight)
-            moved = np.abs(rows.residuals_nt - previous.residuals_nt).max()
-            is_converged = bool(moved <= 1e-9 * rows.sigma_nt.max())
-            previous, rounds = rows, rounds + 1
-    share = float(np.sum(prior * weight) / max(np.sum(prior * slope), 0.05 * np.sum(prior)))
-    psi = float(np.sum(prior[:, None] * (weight[:, None] * rows.residuals_nt) ** 2))
-    plain = float(np.sum((prior * weight)[:, None] * rows.residuals_nt**2))
-    mean_weight = float(np.sum(prior * weight) / np.sum(prior))
-    softening = share**2 / mean_weight * psi / max(plain, 1e-300)
+        weights, rounds, is_converged = regression.reweigh(prior, name)
+    rows = _rows(regression, h_nt, b_nt, weights)
+    used, floor = prior > 0, 1e-12 * float(np.abs(b_nt).max())
+    scales = [robust_sigma(rows.residuals_nt[used, axis], floor) for axis in range(3)]
+    slope = weights_and_slopes(np.abs(rows.residuals_nt / scales).max(axis=1), robust, 1.0)[1]
+    weight = np.divide(weights, prior, out=np.zeros_like(prior), where=used)
+    total, squares = float(prior.sum()), np.sum(rows.residuals_nt**2, axis=1)
+    share = float(weights.sum() / max(float(prior @ slope), 0.05 * total))
+    psi, plain = float((weights * weight) @ squares), float(weights @ squares)
+    softening = share**2 / (float(weights.sum()) / total) * psi / max(plain, 1e-300)
     return replace(rows, softening=softening, rounds=rounds, is_converged=is_converged)

@@ -31,7 +31,7 @@ _FAST: Final = {"reassoc", "contract", "nsz"}
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _loss(loss: int, s2: float) -> tuple[float, float]:  # pragma: no cover - compiled
+def loss_of(loss: int, s2: float) -> tuple[float, float]:  # pragma: no cover - compiled
     """Return rho(s^2), with rho ~ s^2 at zero, and the weight rho'(s^2)."""
     rho, weight = s2, 1.0
     if loss == 1 and s2 > 1.0:
@@ -70,7 +70,7 @@ def _weigh(r: Floats, weight: Floats, loss: int, bend: float, root: Floats) -> f
         return cost * bend * bend
     for i in range(r.size):
         s = r[i] * inverse
-        rho, w = _loss(loss, s * s)
+        rho, w = loss_of(loss, s * s)
         cost += weight[i] * rho
         root[i] = math.sqrt(w * weight[i])
     return cost * bend * bend
@@ -116,7 +116,7 @@ def _geometric(  # noqa: PLR0917
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _add_products(rows: Floats, count: int, total: Floats) -> None:  # pragma: no cover - compiled
+def add_products(rows: Floats, count: int, total: Floats) -> None:  # pragma: no cover - compiled
     """Add rows rows^T over ``count`` samples, its upper half in blocks of two by two, to ``total``; even many rows."""
     for c in range(0, rows.shape[0], 2):
         left, right = rows[c], rows[c + 1]
@@ -246,7 +246,7 @@ def accumulate(  # noqa: PLR0912, PLR0915, PLR0917 - one straight derivation
                 row[i] = root[i] * column[i] * inverse[i]
         for i in range(count):
             last[i] = root[i] * r[i]
-        _add_products(rows, count, total)
+        add_products(rows, count, total)
     for c in range(p):
         for d in range(c, p):
             normal[c, d] = total[c, d]
@@ -312,7 +312,7 @@ def loss_terms(scaled: Floats, loss: int, weight: Floats, slope: Floats) -> None
     """Leave weight and psi' of every residual in ``weight`` and ``slope``; ``scaled`` is in units of the bend."""
     for i in range(scaled.shape[0]):
         s2 = scaled[i] * scaled[i]
-        weight[i] = _loss(loss, s2)[1]
+        weight[i] = loss_of(loss, s2)[1]
         if loss == 1:
             slope[i] = 1.0 if s2 <= 1.0 else 0.0
         elif loss == 2:

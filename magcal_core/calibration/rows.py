@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.calibration.fit import Observations
+from magcal_core.calibration.fit import Observations, scaled_inverse
 from magcal_core.calibration.jacobians import Standardised
+from magcal_core.calibration.regression import Regression
 from magcal_core.calibration.weights import robust_sigma, weights_and_slopes
 from magcal_core.sensor import lower_triangular_gauge
 
 Floats = NDArray[np.float64]
 
-_ROUNDS: Final = 100
+_WIDE: Final = (1, 2, 3)
 MISALIGNED_P: Final = 1e-6
 """Probability below which the lower-triangular hypothesis is given up."""
 MISALIGNED_DEG: Final = 0.1
@@ -54,16 +55,6 @@ class Rows:
     rounds: int = 1
     is_converged: bool = True
 
-    def design(self, axis: int) -> Floats:
-        """Return the regressors of one row, shape (n, axis + 2 + k)."""
-        return np.column_stack([self.b_nt[:, : axis + 1], np.ones(len(self.b_nt)), self.z])
-
-    def project(self, axis: int, columns: Floats) -> Floats:
-        """Return the part of ``columns`` that the row's regressors explain, weights considered."""
-        root = np.sqrt(self.weights)[:, None]
-        design = self.design(axis)
-        return np.asarray(design @ np.linalg.lstsq(design * root, columns * root, rcond=None)[0])
-
     def significance(self, axis: int) -> float:
         """Return by how many standard errors the row of T differs from zero."""
         gain = self.matrix[axis, : axis + 1]
@@ -75,87 +66,94 @@ class Rows:
         return float(abs(self.matrix[axis, axis]) / np.sqrt(self.covariances[axis][axis, axis]))
 
 
+def _regression(h_nt: Floats, b_nt: Floats, z: Floats, weights: Floats, wide: tuple[int, int, int]) -> Regression:
+    """Return the regression of row i on the first ``wide[i]`` components of the field, 1 and z."""
+    takes = np.ones((3, 3 + z.shape[1]), dtype=bool)
+    for axis in range(3):
+        takes[axis, wide[axis] : 3] = False
+    return Regression(np.concatenate([b_nt.T, z.T]), h_nt.T, takes, weights)
+
+
+def _rows(regression: Regression, b_nt: Floats, z: Floats, weights: Floats, wide: tuple[int, int, int]) -> Rows:
+    """Return the rows that the regression has found under ``weights``, with their errors."""
+    k = z.shape[1]
+    count = int(np.count_nonzero(weights > 0))
+    found = regression.coefficients
+    bias = found[:, -1] - found[:, :-1] @ regression.centre
+    matrix, sigma, covariances = np.zeros((3, 3)), np.zeros(3), []
+    for axis, columns in enumerate(wide):
+        matrix[axis, :columns] = found[axis, :columns]
+        noise = np.sqrt(regression.squares[axis] / max(count - columns - 1 - k, 1))
+        sigma[axis] = max(noise, regression.smallest[axis])
+        covariances.append(_covariance(regression, columns, k) * sigma[axis] ** 2)
+    triple = (covariances[0], covariances[1], covariances[2])
+    residuals, slopes = np.ascontiguousarray(regression.residuals.T), np.ascontiguousarray(found[:, 3 : 3 + k].T)
+    return Rows(b_nt, z, matrix, bias, slopes, residuals, sigma, weights, triple)
+
+
+def _covariance(regression: Regression, wide: int, k: int) -> Floats:
+    """Return the covariance of (gains, bias, slopes) for unit noise, from the moments about the centre."""
+    at = np.array([*range(wide), 3 + k, *range(3, 3 + k)])
+    upper = np.triu(regression.total)
+    normal = (upper + np.triu(upper, 1).T)[np.ix_(at, at)]
+    carry = np.eye(len(at))
+    carry[wide, :wide], carry[wide, wide + 1 :] = -regression.centre[:wide], -regression.centre[3:]
+    return np.asarray(carry @ scaled_inverse(normal) @ carry.T)
+
+
 def fit_rows(h_nt: Floats, b_nt: Floats, z: Floats, weights: Floats, columns: tuple[int, int, int] = (1, 2, 3)) -> Rows:
     """Return the weighted least-squares rows: row i on the first ``columns[i]`` components of the field, 1 and z.
 
-    Notes
-    -----
-    Centred and scaled columns, then QR: a field spread of 1e-4 |B| costs no digits that it need not cost.
+    Raises
+    ------
+    NotObservableError
+        A regressor is a combination of others, of the field and of a constant.
     """
-    n, k = len(h_nt), z.shape[1]
-    count = int(np.count_nonzero(weights > 0))
-    total = float(weights.sum())
-    root = np.sqrt(weights)
-    matrix, bias, slopes, errors = np.zeros((3, 3)), np.zeros(3), np.zeros((k, 3)), np.zeros((n, 3))
-    sigma, covariances = np.zeros(3), []
-    for axis in range(3):
-        wide = columns[axis]
-        raw = np.column_stack([b_nt[:, :wide], z])
-        centre = weights @ raw / total
-        spread = np.sqrt(weights @ (raw - centre) ** 2 / total)
-        middle = float(weights @ h_nt[:, axis] / total)
-        q, r = np.linalg.qr((raw - centre) / spread * root[:, None])
-        solution = np.linalg.solve(r, q.T @ ((h_nt[:, axis] - middle) * root)) / spread
-        matrix[axis, :wide], slopes[:, axis] = solution[:wide], solution[wide:]
-        bias[axis] = middle - centre @ solution
-        errors[:, axis] = (h_nt[:, axis] - middle) - (raw - centre) @ solution
-        noise = float(np.sum(weights * errors[:, axis] ** 2) / (count - wide - 1 - k))
-        sigma[axis] = max(np.sqrt(noise), 1e-13 * float(np.abs(h_nt[:, axis]).max()), 1e-300)
-        half = np.linalg.inv(r) / spread[:, None]
-        slope_covariance = half @ half.T * sigma[axis] ** 2
-        covariances.append(_with_bias(slope_covariance, centre, sigma[axis] ** 2 / total, wide))
-    triple = (covariances[0], covariances[1], covariances[2])
-    return Rows(b_nt, z, matrix, bias, slopes, errors, sigma, weights, triple)
-
-
-def _with_bias(covariance: Floats, centre: Floats, mean_variance: float, wide: int) -> Floats:
-    """Return the covariance of (gains, bias, slopes) from that of (gains, slopes) about the centre."""
-    size = len(centre)
-    out = np.zeros((size + 1, size + 1))
-    at = [*range(wide), *range(wide + 1, size + 1)]
-    out[np.ix_(at, at)] = covariance
-    out[wide, at] = out[at, wide] = -covariance @ centre
-    out[wide, wide] = mean_variance + centre @ covariance @ centre
-    return out
+    regression = _regression(h_nt, b_nt, z, weights, columns)
+    regression.solve(weights)
+    return _rows(regression, b_nt, z, weights, columns)
 
 
 def reweighted(  # noqa: PLR0917
-    h_nt: Floats, b_nt: Floats, z: Floats, prior: Floats, robust: str, near: Rows | None = None
+    h_nt: Floats, b_nt: Floats, z: Floats, prior: Floats, robust: str, near: Floats | None = None
 ) -> Rows:
     """Return the rows under a robust loss: the worst of a sample's three residuals decides its weight.
 
     The convex soft-L1 loss goes first, so that a redescending loss starts next to the right minimum; not so where
-    ``near`` is given, the rows under that loss from nearly the same data.
+    ``near`` is given, the weights, shape (n,), that the loss gave on nearly the same data.
+
+    Raises
+    ------
+    NotObservableError
+        A regressor is a combination of others, of the field and of a constant.
     """
+    first = prior if near is None or robust == "none" else near
+    regression = _regression(h_nt, b_nt, z, first, _WIDE)
+    regression.solve(first)
     if robust == "none":
-        return fit_rows(h_nt, b_nt, z, prior)
-    rows = fit_rows(h_nt, b_nt, z, prior if near is None else near.weights)
-    used, floor = prior > 0, 1e-12 * float(np.abs(h_nt).max())
+        return _rows(regression, b_nt, z, prior, _WIDE)
     for name in dict.fromkeys(("soft_l1", robust) if near is None else (robust,)):
-        worst, previous, rounds, is_converged = _worst(rows, used, floor), rows, 0, False
-        while rounds < _ROUNDS and not is_converged:
-            weight, slope = weights_and_slopes(worst, name, 1.0)
-            rows = fit_rows(h_nt, b_nt, z, prior * weight)
-            worst = _worst(rows, used, floor)
-            moved = np.abs(rows.residuals_nt - previous.residuals_nt).max()
-            is_converged = bool(moved <= 1e-9 * rows.sigma_nt.max())
-            previous, rounds = rows, rounds + 1
-    # sum(psi') counts the worst residual's slope for the sample: exact where one residual decides, safe elsewhere.
-    share = float(np.sum(prior * weight) / max(np.sum(prior * slope), 0.05 * np.sum(prior)))
-    psi = np.array([np.sum(prior * (weight * rows.residuals_nt[:, i]) ** 2) for i in range(3)])
-    plain = np.array([np.sum(prior * weight * rows.residuals_nt[:, i] ** 2) for i in range(3)])
-    mean_weight = float(np.sum(prior * weight) / np.sum(prior))
-    softening = share**2 / mean_weight * float(np.mean(psi / np.maximum(plain, 1e-300)))
-    return Rows(
-        b_nt, z, rows.matrix, rows.bias_nt, rows.slopes_nt, rows.residuals_nt, rows.sigma_nt, rows.weights,
-        rows.covariances, softening, share, rounds, is_converged,
-    )  # fmt: skip
+        weights, rounds, is_converged = regression.reweigh(prior, name)
+    rows = _rows(regression, b_nt, z, weights, _WIDE)
+    softening, share = _softening(rows, prior, robust, 1e-12 * float(np.abs(h_nt).max()))
+    return replace(rows, softening=softening, softening_slope=share, rounds=rounds, is_converged=is_converged)
 
 
-def _worst(rows: Rows, used: NDArray[np.bool_], floor: float) -> Floats:
-    """Return each sample's largest residual in units of its axis' robust noise."""
+def _softening(rows: Rows, prior: Floats, robust: str, floor: float) -> tuple[float, float]:
+    """Return what the loss multiplies the formal covariance by, and divides the normal matrix by.
+
+    sum(psi') counts the worst residual's slope for the sample: exact where one residual decides, safe elsewhere.
+    """
+    used = prior > 0
     scales = [robust_sigma(rows.residuals_nt[used, axis], floor) for axis in range(3)]
-    return np.asarray(np.abs(rows.residuals_nt / scales).max(axis=1))
+    slope = weights_and_slopes(np.abs(rows.residuals_nt / scales).max(axis=1), robust, 1.0)[1]
+    weight = np.divide(rows.weights, prior, out=np.zeros_like(prior), where=used)
+    total = float(prior.sum())
+    share = float(rows.weights.sum() / max(float(prior @ slope), 0.05 * total))
+    squares = rows.residuals_nt**2
+    psi, plain = (rows.weights * weight) @ squares, rows.weights @ squares
+    mean_weight = float(rows.weights.sum() / total)
+    return share**2 / mean_weight * float(np.mean(psi / np.maximum(plain, 1e-300))), share
 
 
 @dataclass(frozen=True, slots=True, eq=False)

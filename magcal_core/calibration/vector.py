@@ -16,12 +16,12 @@ from magcal_core.calibration.fit import (
     FitSettings,
     FitStatus,
     Observations,
-    block_moments,
     block_starts,
     residuals_nt,
     scaled_inverse,
 )
 from magcal_core.calibration.jacobians import Standardised, parameters_from_rows, rows_jacobian
+from magcal_core.calibration.regression import block_sums
 from magcal_core.calibration.result import Parameters
 from magcal_core.calibration.rows import Rows, full_rows, reweighted
 
@@ -88,9 +88,11 @@ class VectorFit:
         """
         b_nt = observations.require_vector()
         require_excitation(b_nt, observations.weights)
-        names = tuple(observations.regressors)
-        z = Standardised.of(names, [observations.regressors[name] for name in names], len(observations))
-        rows = reweighted(observations.h_nt, b_nt, z.columns, observations.weights, near.robust)
+        z = Standardised.of_weighed(observations.regressors, observations.weights)
+        # The same samples under other weights begin where all data ended.
+        is_same = len(near.weights) == len(observations)
+        first = np.where(observations.weights > 0, near.weights, 0.0) if is_same else None
+        rows = reweighted(observations.h_nt, b_nt, z.columns, observations.weights, near.robust, near=first)
         return parameters_from_rows(rows.matrix, rows.bias_nt, rows.slopes_nt, z)
 
 
@@ -106,22 +108,36 @@ def _with_clock(observations: Observations, z: Standardised, robust: str) -> tup
         step = np.linalg.solve(*_clock_equations(rows, rates))
         clock = clock + step
         moved_nt = b_nt - np.einsum("nmi,m->ni", rates, clock)
-        rows = reweighted(observations.h_nt, moved_nt, z.columns, weights, robust, near=rows)
+        rows = reweighted(observations.h_nt, moved_nt, z.columns, weights, robust, near=rows.weights)
         if np.all(np.abs(step) < 1e-9 * np.maximum(1.0, np.abs(clock))):
             break
     return rows, clock
 
 
 def _clock_equations(rows: Rows, rates: Floats) -> tuple[Floats, Floats]:
-    """Return the normal matrix and right side of the clock with the rows' own unknowns eliminated."""
-    m = rates.shape[1]
+    """Return the normal matrix and right side of the clock with the rows' own unknowns eliminated.
+
+    Notes
+    -----
+    From the moments of (B, z, rates, 1, residuals): a rate moves row i by -rate.T_i, a combination of its columns.
+    """
+    m, k = rates.shape[1], rows.z.shape[1]
+    columns = np.concatenate([rows.b_nt.T, rows.z.T, rates.reshape(len(rates), 3 * m).T])
+    columns -= (columns @ rows.weights / rows.weights.sum())[:, None]
+    every = np.zeros(1, dtype=np.intp)
+    moments = block_sums(columns, np.ascontiguousarray(rows.residuals_nt.T), rows.weights, every)[0]
     normal, right = np.zeros((m, m)), np.zeros(m)
     for axis in range(3):
-        columns = -np.einsum("nmi,i->nm", rates, rows.matrix[axis])
-        rest = columns - rows.project(axis, columns)
-        share = rows.weights / rows.sigma_nt[axis] ** 2
-        normal += (rest * share[:, None]).T @ rest
-        right += (rest * share[:, None]).T @ rows.residuals_nt[:, axis]
+        own = [*range(axis + 1), *range(3, 3 + k), 3 + k + 3 * m]
+        carry = np.zeros((len(moments), m))
+        for j in range(m):
+            carry[3 + k + 3 * j : 6 + k + 3 * j, j] = -rows.matrix[axis]
+        error = 4 + k + 3 * m + axis
+        across = moments[own] @ carry
+        explained = np.linalg.solve(moments[np.ix_(own, own)], np.column_stack([across, moments[own, error]]))
+        share = 1.0 / rows.sigma_nt[axis] ** 2
+        normal += share * (carry.T @ moments @ carry - across.T @ explained[:, :m])
+        right += share * (carry.T @ moments[:, error] - across.T @ explained[:, m])
     return normal, right
 
 
@@ -136,20 +152,21 @@ def _equations(
     own[q - m :, q - m :] = np.eye(m)
     starts = block_starts(len(observations))
     scores, normals = np.zeros((len(starts), q)), np.zeros((len(starts), q, q))
-    shared = [rows.b_nt, np.ones((len(rows.b_nt), 1)), rows.z]
-    if observations.rate_base_nt_s is not None and m:
-        shared += [-observations.rate_base_nt_s @ rows.matrix[axis] for axis in range(3)]
-    design = np.column_stack(shared)
-    weighted = design * rows.weights[:, None]
-    moments = block_moments(weighted, design, starts)
-    errors = block_moments(weighted, rows.residuals_nt, starts)
+    rates = observations.rate_base_nt_s if m else None
+    rate_columns = np.zeros((0, len(observations))) if rates is None else rates.reshape(len(rates), 3 * m).T
+    columns = np.concatenate([rows.b_nt.T, rows.z.T, rate_columns])
+    c = len(columns)
+    moments = block_sums(columns, np.ascontiguousarray(rows.residuals_nt.T), rows.weights, starts)
     for axis in range(3):
-        clocks = list(range(4 + k + m * axis, 4 + k + m * (axis + 1)))
-        take = [*range(axis + 1), 3, *range(4, 4 + k), *clocks]
+        carry = np.zeros((c + 1, axis + 2 + k + m))
+        places = [*range(axis + 1), c, *range(3, 3 + k)]
+        carry[places, range(len(places))] = 1.0
+        for j in range(m):
+            carry[3 + k + 3 * j : 6 + k + 3 * j, len(places) + j] = -rows.matrix[axis]
         at = np.array([*_positions(axis, k), *range(q - m, q)])
         share = 1.0 / rows.sigma_nt[axis] ** 2
-        normals[:, at[:, None], at] += moments[:, np.array(take)[:, None], take] * share
-        scores[:, at] += errors[:, take, axis] * share
+        normals[:, at[:, None], at] += share * (carry.T @ moments[:, : c + 1, : c + 1] @ carry)
+        scores[:, at] += share * (moments[:, : c + 1, c + 1 + axis] @ carry)
     return own, normals.sum(axis=0), BlockScores(scores, normals / rows.softening_slope, starts, own)
 
 
