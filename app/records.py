@@ -109,6 +109,31 @@ class ParameterSetRecord(ParameterSetIds):
     provenance: ProvenanceRecord
 
 
+class SetHistory(TypedDict):
+    """What a figure over time shows of a parameter set."""
+
+    verdict: VerdictRecord
+    data_from: str
+    data_until: str
+    parameters: ParametersRecord
+    standard_errors: ParametersRecord
+    formal_standard_errors: ParametersRecord
+    statistics: StatisticsRecord
+    provenance: ProvenanceRecord
+
+
+class SetSummary(SetHistory):
+    """What a list of many parameter sets shows of each."""
+
+    id: str
+    magnetometer: str
+    status: str
+    method: str
+    created_at: str
+    field_model: str
+    orbit_model: str
+
+
 @cache
 def _adapter() -> TypeAdapter[ParameterSetRecord]:
     return TypeAdapter(ParameterSetRecord)
@@ -163,7 +188,7 @@ def parameter_values(parameters: ParametersRecord) -> dict[str, float]:
     return values
 
 
-def oldest_orbit_days(record: ParameterSetRecord) -> float | None:
+def oldest_orbit_days(record: SetHistory) -> float | None:
     """Return the largest distance in time of an orbit from the data, days; None where no orbit was used."""
     ages = [orbit.get("age_days") for orbit in record["provenance"].get("orbits", [])]
     known = [abs(age) for age in ages if isinstance(age, int | float)]

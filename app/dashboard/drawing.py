@@ -13,13 +13,13 @@ from sqlalchemy.orm import Session
 
 from app import figures
 from app.dashboard.schemas import HistoryFigureQuery
-from app.dashboard.state import records_of, timeline
+from app.dashboard.state import timeline
+from app.dashboard.summaries import summaries
 from app.errors import NotFoundError
 from app.figures.extras import ablation_rows
 from app.figures.style import Theme
 from app.keys.repository import Caller
-from app.parameter_sets.repository import ParameterSetRepository
-from app.parameter_sets.schemas import ParameterSetQuery
+from app.parameter_sets.listing import Listed
 from app.records import ParameterSetRecord
 from magcal_core.calibration.result import ResidualTable
 from magcal_core.samples import Floats, Samples
@@ -27,7 +27,6 @@ from magcal_core.samples import Floats, Samples
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-MOST_SETS: Final = 1000
 OF_RECORD: Final = frozenset({"correlation", "ablation"})
 """Figures of a parameter set that need no residual table."""
 
@@ -81,19 +80,22 @@ def session_figure(name: str, samples: Samples, theme: str) -> Figure:
     return figures.housekeeping(samples, look)
 
 
-def history_figure(session: Session, caller: Caller, satellite_id: str, name: str, query: HistoryFigureQuery) -> Figure:
-    """Return the figure ``name`` of a satellite's history."""
-    look = figures.THEMES[query.theme]
-    if name == "sessions":
-        return figures.session_timeline(*timeline(session, caller, satellite_id, query.magnetometer), look)
-    wanted = ParameterSetQuery(satellite=satellite_id, magnetometer=query.magnetometer, limit=MOST_SETS)
-    rows, _ = ParameterSetRepository(session, caller).page(wanted)
-    records = records_of(rows)
+def history_figure(session: Session, sets: Listed, name: str, theme: str) -> Figure:
+    """Return the figure ``name`` of the history that ``sets`` make."""
+    look = figures.THEMES[theme]
+    history = summaries(session, [set_id for set_id, _ in sets.sets])
     if name == "history":
-        return figures.parameter_history(records, look)
+        return figures.parameter_history(history, look)
     if name == "residual":
-        return figures.rms_history(records, look)
-    return figures.tle_age_history(records, look)
+        return figures.rms_history(history, look)
+    return figures.tle_age_history(history, look)
+
+
+def timeline_figure(session: Session, caller: Caller, satellite_id: str, query: HistoryFigureQuery) -> Figure:
+    """Return the figure of a satellite's sessions and of what was in force."""
+    return figures.session_timeline(
+        *timeline(session, caller, satellite_id, query.magnetometer), figures.THEMES[query.theme]
+    )
 
 
 def comparison(first: ParameterSetRecord, second: ParameterSetRecord, theme: str) -> Figure:

@@ -30,9 +30,11 @@ from app.dashboard.state import history_rows, overview_rows, record_of
 from app.keys.repository import SYSTEM, Caller
 from app.orbits.parsing import orbit_of
 from app.orbits.repository import OrbitRepository
+from app.parameter_sets.listing import listed
 from app.parameter_sets.pointing import pointing_impact
 from app.parameter_sets.repository import ParameterSetRepository
 from app.parameter_sets.residuals import from_bytes
+from app.parameter_sets.schemas import ParameterSetQuery
 from app.parameter_sets.tables import ParameterSet
 from app.records import ParameterSetRecord
 from app.residual_files import residuals_of
@@ -46,6 +48,8 @@ from magcal_core.samples import Samples
 
 router = APIRouter(tags=["displays"])
 
+MOST_SETS: Final = 1000
+"""Parameter sets that a figure of a history has."""
 REPORT_POLICY: Final = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -160,13 +164,26 @@ def get_session_figure(
 
 @router.get("/satellites/{satellite_id}/figures/{figure}", response_class=Response, responses=FIGURES)
 def get_history_figure(
-    satellite_id: str, figure: HistoryFigure, query: Annotated[HistoryFigureQuery, Query()], caller: Reader, db: Db
+    *,
+    satellite_id: str,
+    figure: HistoryFigure,
+    query: Annotated[HistoryFigureQuery, Query()],
+    request: Request,
+    caller: Reader,
+    db: Db,
 ) -> Response:
     """Draw a figure of a satellite's history: its last 1,000 parameter sets."""
     with db.read() as session:
         SatelliteRepository(session, caller).get(satellite_id)
-        made = drawing.history_figure(session, caller, satellite_id, figure, query)
-    return drawing.answer(made)
+        if figure == "sessions":
+            return drawing.answer(drawing.timeline_figure(session, caller, satellite_id, query))
+        wanted = ParameterSetQuery(satellite=satellite_id, magnetometer=query.magnetometer, limit=MOST_SETS)
+        sets = listed(session.connection(), caller, wanted)
+        etag = drawing.etag("history", sets.tag, figure, query.theme)
+        if request.headers.get("if-none-match") == etag:
+            return Response(status_code=304, headers={"ETag": etag})
+        made = drawing.history_figure(session, sets, figure, query.theme)
+    return drawing.answer(made, etag)
 
 
 @router.get("/figures/compare", response_class=Response, responses=FIGURES)

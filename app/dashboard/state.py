@@ -8,14 +8,15 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from app.dashboard.schemas import HistoryQuery, HistoryRow, OverviewRow, SessionState, SetState
+from app.dashboard.summaries import summaries
 from app.database import utc_now
 from app.figures import InForce, SessionMark
 from app.jobs.tables import Job
 from app.keys.repository import Caller
-from app.parameter_sets.repository import ParameterSetRepository
+from app.parameter_sets.listing import listed
 from app.parameter_sets.schemas import ParameterSetQuery
 from app.parameter_sets.tables import Activation, ParameterSet, ParameterSetSession
-from app.records import ParameterSetRecord, oldest_orbit_days, parameter_set_record
+from app.records import ParameterSetRecord, SetSummary, oldest_orbit_days, parameter_set_record
 from app.satellites.repository import SatelliteRepository
 from app.satellites.tables import Satellite
 from app.schemas import utc_text
@@ -58,18 +59,16 @@ def history_rows(
     session: Session, caller: Caller, satellite_id: str, query: HistoryQuery
 ) -> tuple[list[HistoryRow], str | None]:
     """Return a part of a satellite's parameter sets in flat numbers, the newest first."""
-    sets = ParameterSetRepository(session, caller)
-    wanted = ParameterSetQuery(satellite=satellite_id, **query.model_dump())
-    rows, cursor = sets.page(wanted)
-    sessions = sets.session_ids(rows)
-    begun = _activations(session, [row.id for row in rows])
+    wanted = listed(session.connection(), caller, ParameterSetQuery(satellite=satellite_id, **query.model_dump()))
+    ids = [set_id for set_id, _ in wanted.sets]
+    sessions = _session_ids(session, ids)
+    begun = _activations(session, ids)
     replaced = _replaced(session, begun)
-    return [_history_row(row, sessions[row.id], begun.get(row.id), replaced.get(row.id)) for row in rows], cursor
-
-
-def records_of(rows: Sequence[ParameterSet]) -> list[ParameterSetRecord]:
-    """Return parameter sets as figures and reports take them, ids included."""
-    return [record_of(row) for row in rows]
+    rows = [
+        _history_row(one, sessions[one["id"]], begun.get(one["id"]), replaced.get(one["id"]))
+        for one in summaries(session, ids)
+    ]
+    return rows, wanted.cursor
 
 
 def record_of(row: ParameterSet) -> ParameterSetRecord:
@@ -195,22 +194,30 @@ def _session_state(row: TelemetrySession | None) -> SessionState | None:
     return None if row is None else SessionState.model_validate(row, from_attributes=True, extra="ignore")
 
 
+def _session_ids(session: Session, set_ids: Sequence[str]) -> dict[str, list[str]]:
+    link = ParameterSetSession
+    found: dict[str, list[str]] = {set_id: [] for set_id in set_ids}
+    links = select(link.parameter_set_id, link.session_id).where(link.parameter_set_id.in_(set_ids))
+    for set_id, session_id in session.execute(links.order_by(link.session_id)):
+        found[set_id].append(session_id)
+    return found
+
+
 def _history_row(
-    row: ParameterSet, session_ids: list[str], activation: Activation | None, replaced_id: str | None
+    one: SetSummary, session_ids: list[str], activation: Activation | None, replaced_id: str | None
 ) -> HistoryRow:
-    record = record_of(row)
-    statistics = record["statistics"]
+    statistics = one["statistics"]
     values: dict[str, object] = {
-        "id": row.id,
-        "magnetometer": row.magnetometer_id,
-        "status": row.status,
-        "grade": row.grade,
-        "method": row.method,
-        "field_model": record["field_model"],
-        "orbit_model": record["orbit_model"],
-        "data_from": row.data_from,
-        "data_until": row.data_until,
-        "created_at": row.created_at,
+        "id": one["id"],
+        "magnetometer": one["magnetometer"],
+        "status": one["status"],
+        "grade": one["verdict"]["grade"],
+        "method": one["method"],
+        "field_model": one["field_model"],
+        "orbit_model": one["orbit_model"],
+        "data_from": one["data_from"],
+        "data_until": one["data_until"],
+        "created_at": one["created_at"],
         "activated_at": None if activation is None else activation.begun_at,
         "replaced_id": replaced_id,
         "session_ids": session_ids,
@@ -218,14 +225,14 @@ def _history_row(
         "rms_before_nt": statistics["before"]["rms_nt"],
         "rms_nt": statistics["after"]["rms_nt"],
         "cross_validated_rms_nt": statistics["cross_validated_rms_nt"],
-        "orbit_age_days": oldest_orbit_days(record),
+        "orbit_age_days": oldest_orbit_days(one),
     }
-    return HistoryRow.model_validate(values | _flat(record))
+    return HistoryRow.model_validate(values | _flat(one))
 
 
-def _flat(record: ParameterSetRecord) -> dict[str, float | None]:
+def _flat(one: SetSummary) -> dict[str, float | None]:
     found: dict[str, float | None] = {}
-    for suffix, values in (("", record["parameters"]), ("_error", record["standard_errors"])):
+    for suffix, values in (("", one["parameters"]), ("_error", one["standard_errors"])):
         groups = (
             ("bias", "_nt", values["bias_nt"]),
             ("scale", "", values["scale"]),

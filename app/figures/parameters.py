@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from app.figures.style import GRADE_SYMBOLS, LIGHT, Layout, Theme, Trace, axis, make_figure, milliseconds, scatter
-from app.records import ParameterSetRecord, oldest_orbit_days, parameter_values
+from app.records import ParameterSetRecord, ParametersRecord, SetHistory, oldest_orbit_days, parameter_values
 from magcal_core.samples import Floats
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ class AblationRow:
     is_chosen: bool
 
 
-def parameter_history(sets: Sequence[ParameterSetRecord], theme: Theme = LIGHT) -> Figure:
+def parameter_history(sets: Sequence[SetHistory], theme: Theme = LIGHT) -> Figure:
     """Return bias, scale and angles of ``sets`` over the middle of their data, bars of one honest standard error.
 
     Nine panels, one a parameter, because a drift of tens of nT is invisible on an axis that spans all three biases.
@@ -64,14 +65,14 @@ def parameter_history(sets: Sequence[ParameterSetRecord], theme: Theme = LIGHT) 
     return make_figure(traces, theme, layout)
 
 
-def tle_age_history(sets: Sequence[ParameterSetRecord], theme: Theme = LIGHT) -> Figure:
+def tle_age_history(sets: Sequence[SetHistory], theme: Theme = LIGHT) -> Figure:
     """Return the age of the oldest orbit of each of ``sets`` with the limits of 3 and 14 days."""
     ordered = sorted(sets, key=lambda record: record["data_from"])
     ages = [oldest_orbit_days(record) for record in ordered]
-    trace = _by_grade(ordered, theme) | {"x": _middle_ms(ordered), "y": ages, "name": "age of the orbit"}
+    known = np.array([np.nan if age is None else age for age in ages])
+    traces = _by_grade(ordered, known, theme)
     layout: Layout = {
         "height": 240,
-        "showlegend": False,
         "xaxis": axis(theme, "UTC", type="date"),
         "yaxis": axis(theme, "orbit's age, days", rangemode="tozero"),
         "shapes": [
@@ -81,17 +82,17 @@ def tle_age_history(sets: Sequence[ParameterSetRecord], theme: Theme = LIGHT) ->
             if any(age is not None and age > day / 2 for age in ages)
         ],
     }
-    return make_figure([trace], theme, layout)
+    return make_figure(traces, theme, layout)
 
 
-def rms_history(sets: Sequence[ParameterSetRecord], theme: Theme = LIGHT) -> Figure:
+def rms_history(sets: Sequence[SetHistory], theme: Theme = LIGHT) -> Figure:
     """Return the residual RMS of ``sets`` after calibration, in the fit and cross-validated, marked by verdict."""
     ordered = sorted(sets, key=lambda record: record["data_from"])
     x = _middle_ms(ordered)
-    fitted = [record["statistics"]["after"]["rms_nt"] for record in ordered]
-    held_out = [record["statistics"]["cross_validated_rms_nt"] for record in ordered]
+    fitted = np.array([record["statistics"]["after"]["rms_nt"] for record in ordered], dtype=np.float64)
+    held_out = np.array([record["statistics"]["cross_validated_rms_nt"] for record in ordered], dtype=np.float64)
     traces: list[Trace] = [
-        _by_grade(ordered, theme) | {"x": x, "y": fitted, "name": "in the fit", "showlegend": False},
+        *_by_grade(ordered, fitted, theme),
         scatter(
             x,
             held_out,
@@ -206,49 +207,72 @@ def short_name(name: str) -> str:
     return f"{group.removeprefix('regressors.')} {number}"
 
 
-def _middle_ms(sets: Sequence[ParameterSetRecord]) -> Floats:
+def _middle_ms(sets: Sequence[SetHistory]) -> Floats:
     ends = [[record["data_from"].rstrip("Z"), record["data_until"].rstrip("Z")] for record in sets]
     times = np.array(ends, dtype="datetime64[ns]").reshape(-1, 2)
     middle: Floats = milliseconds(times).mean(axis=1)
     return middle
 
 
-def _by_grade(sets: Sequence[ParameterSetRecord], theme: Theme) -> Trace:
-    grades = [record["verdict"]["grade"] for record in sets]
-    return {
-        "type": "scatter",
-        "mode": "markers",
-        "text": grades,
-        "marker": {
-            "size": 8,
-            "color": [theme.grades.get(grade, theme.muted) for grade in grades],
-            "symbol": [GRADE_SYMBOLS.get(grade, "circle") for grade in grades],
-        },
-    }
+def _by_grade(sets: Sequence[SetHistory], y: Floats, theme: Theme) -> list[Trace]:
+    """Return marks of ``y``, shape (n,), in the middle of each set's data, one trace a verdict."""
+    x, grades = _middle_ms(sets), _grades(sets)
+    return [
+        scatter(
+            x[is_so],
+            y[is_so],
+            "markers",
+            name=grade,
+            marker={"size": 8, "color": theme.grades[grade]} | {"symbol": symbol},
+        )
+        for grade, symbol in GRADE_SYMBOLS.items()
+        if (is_so := grades == grade).any()
+    ]
 
 
-def _history_traces(sets: Sequence[ParameterSetRecord], group: str, i: int, theme: Theme) -> list[Trace]:
+def _grades(sets: Sequence[SetHistory]) -> NDArray[np.str_]:
+    return np.array([record["verdict"]["grade"] for record in sets], dtype=np.str_)
+
+
+def _of_group(parameters: ParametersRecord, group: str) -> list[float | None]:
+    if group == "bias_nt":
+        return parameters["bias_nt"]
+    return parameters["scale"] if group == "scale" else parameters["nonorthogonality_deg"]
+
+
+def _history_traces(sets: Sequence[SetHistory], group: str, i: int, theme: Theme) -> list[Trace]:
     """Return one parameter's history: bars and a mark for each set, or a band and marks for the doubtful ones."""
-    name = f"{group}[{i}]"
     values, honest, formal = (
-        np.array([parameter_values(record[kind]).get(name, np.nan) for record in sets])
-        for kind in ("parameters", "standard_errors", "formal_standard_errors")
+        np.array([_of_group(one, group)[i] for one in kind], dtype=np.float64)
+        for kind in (
+            [record["parameters"] for record in sets],
+            [record["standard_errors"] for record in sets],
+            [record["formal_standard_errors"] for record in sets],
+        )
     )
     colour = theme.series[i]
     hover = "%{y:.6~g} ± %{customdata[0]:.3~g} (formal %{customdata[1]:.3~g})"
     line = {"color": colour, "width": 1}
-    grades = np.array([record["verdict"]["grade"] for record in sets])
+    grades = _grades(sets)
     shown: Trace = {"customdata": np.column_stack([honest, formal]), "hovertemplate": hover, "line": line}
     if len(sets) <= MOST_BARS:
         bars = {"type": "data", "array": honest, "thickness": 1.2, "width": 3, "color": colour}
         marks = {"size": 7, "color": colour, "symbol": [GRADE_SYMBOLS.get(grade, "circle") for grade in grades]}
         return [scatter(None, values, "lines+markers", error_y=bars, marker=marks) | shown]
     edge = {"width": 0, "color": colour}
-    doubtful = np.where(grades == "accept", np.nan, values)
-    marks = {"size": 6, "color": colour, "symbol": [GRADE_SYMBOLS.get(grade, "circle") for grade in grades]}
+    doubts: list[Trace] = [
+        scatter(
+            None,
+            np.where(grades == grade, values, np.nan),
+            "markers",
+            marker={"size": 6, "color": colour, "symbol": symbol},
+        )
+        for grade, symbol in GRADE_SYMBOLS.items()
+        if grade != "accept" and (grades == grade).any()
+    ]
     return [
         scatter(None, values - honest, line=edge, hoverinfo="skip"),
         scatter(None, values + honest, line=edge, hoverinfo="skip", fill="tonexty", fillcolor=f"{colour}40"),
         scatter(None, values) | shown,
-        scatter(None, doubtful, "markers", marker=marks, hoverinfo="skip"),
+        *(doubt | {"hoverinfo": "skip"} for doubt in doubts),
     ]

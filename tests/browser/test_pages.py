@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, Page, Route, expect
 
 from tests.browser.conftest import Service, Watched, sign_in, watched
 
@@ -187,8 +187,13 @@ def test_dark_and_light_are_kept_and_the_figures_follow(window: Watched, address
 
 def test_numbers_come_before_the_plot_library(window: Watched, addresses: dict[str, str]) -> None:
     """The library is not let through before the numbers are there."""
-    page, held = window.page, []
-    page.route("**/assets/plotly-*", held.append)
+    page = window.page
+    held: list[Route] = []
+
+    def hold(route: Route) -> None:
+        held.append(route)
+
+    page.route("**/assets/plotly-*", hold)
     page.goto(window.service.url + addresses["parameter-set"], wait_until="commit")
     expect(page.locator(".tiles dd").first).to_contain_text("nT")
     assert page.evaluate("() => typeof window.Plotly") == "undefined"

@@ -96,7 +96,7 @@ function historyOf(magnetometer, hasSets) {
   const figures = hasSets ? [
     plot(address("history"), "Bias, scale and angles over time", "Bars are one honest standard error; ● accept, ◆ weak, ✕ refuse; the line joins sets in order of their data.", 600),
     h("div", { class: "pair" },
-      plot(address("residual"), "Residual over time", "Marks by verdict: residual RMS of each set in its fit; dashes: cross-validated.", 280),
+      plot(address("residual"), "Residual over time", "Residual RMS of each set in its fit, marked by its verdict, and cross-validated.", 280),
       plot(address("orbit-age"), "Age of the orbit", "Dotted lines: 3 days, from where on it is called old, and 14 days, from where on it is refused.", 280)),
     plot(address("sessions"), "Sessions and activations", "Each session by the verdict of its newest set; bars show which set was in force.", 240),
   ] : [];
