@@ -137,7 +137,7 @@ def draw_mission(seed: int) -> Mission:
     """
     random = np.random.default_rng(seed)
     start = np.datetime64("2021-01-01T00:00:00", "ns") + np.timedelta64(int(random.uniform(0, 4 * 365.25 * 86400)), "s")
-    true_orbit = Sgp4Orbit.from_tle(_tle_text(random, start))
+    true_orbit = draw_orbit(random, start)
     duration_s = float(np.exp(random.uniform(np.log(360.0), np.log(2 * 86400.0))))
     step_s = max(float(random.choice([1.0, 2.0, 5.0, 10.0, 30.0])), float(np.ceil(duration_s / MOST_SAMPLES)))
     motion = str(random.choice(["tumbling", "one axis", "once per orbit", "still"], p=[0.7, 0.15, 0.1, 0.05]))
@@ -162,6 +162,11 @@ def draw_mission(seed: int) -> Mission:
     robust = str(random.choice(["none", "huber"]))
     options = CalibrationOptions(method="vector" if is_vector else "scalar", robust=robust)
     return Mission(seed, motion, made.samples, (reference,), options, truth, disturbed.noise_nt, made)
+
+
+def draw_orbit(random: np.random.Generator, start: np.datetime64) -> Sgp4Orbit:
+    """Return a low orbit with its epoch at ``start``: 300 to 1200 km, inclination 0 to 100 deg."""
+    return Sgp4Orbit.from_tle(_tle_text(random, start))
 
 
 def _tle_text(random: np.random.Generator, start: np.datetime64) -> str:

@@ -16,6 +16,7 @@ from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observation
 from magcal_core.calibration.flags import jumps, saturated, spikes
 from magcal_core.calibration.judgement import Circumstances, Judgement, extras_of, judgement_of
 from magcal_core.calibration.mounting import mounting_of
+from magcal_core.calibration.reference_errors import ReferenceShift, reference_shifts
 from magcal_core.calibration.regressors import Ablation, ablation_of, choose_regressors, usable_columns
 from magcal_core.calibration.result import Calibration, ResidualTable
 from magcal_core.calibration.steps import steps_of
@@ -80,7 +81,11 @@ def calibrate(
     tried = estimate.tried_clock
     is_clock_known = estimate.clock is not None or (tried is not None and tried.is_bounded)
     circumstances = Circumstances(
-        referenced.age_days, is_clock_known, left_out, tuple(f"{one.code}: {one.text}" for one in suspected)
+        referenced.age_days,
+        is_clock_known,
+        left_out,
+        tuple(f"{one.code}: {one.text}" for one in suspected),
+        _reference_shifts(referenced, estimate),
     )
     judgement = judgement_of(estimate.estimator, estimate.observations, estimate.fit, estimate.settings, circumstances)
     tell(0.95)
@@ -200,16 +205,26 @@ def _suspicions(referenced: Referenced, estimate: _Estimate) -> tuple[Suspicion,
     return suspicions(referenced.samples, clock=found, position_field=referenced.field if is_from_telemetry else None)
 
 
-def _budget(referenced: Referenced, estimate: _Estimate, judgement: Judgement) -> list[dict[str, object]]:
+def _source(referenced: Referenced, estimate: _Estimate) -> ReferenceSource:
     clock = estimate.clock
-    source = ReferenceSource(
+    return ReferenceSource(
         referenced.report.orbit_model,
         referenced.age_days,
         referenced.field,
         estimate.estimator.is_vector,
         None if clock is None else clock.offset_error_s,
     )
-    return [item.to_dict() for item in error_budget(referenced.samples, source, judgement.after.rms_nt)]
+
+
+def _budget(referenced: Referenced, estimate: _Estimate, judgement: Judgement) -> list[dict[str, object]]:
+    found = error_budget(referenced.samples, _source(referenced, estimate), judgement.after.rms_nt)
+    return [item.to_dict() for item in found]
+
+
+def _reference_shifts(referenced: Referenced, estimate: _Estimate) -> tuple[ReferenceShift, ...]:
+    used = referenced.samples.take(estimate.usable)
+    weighed = replace(estimate.observations, weights=estimate.fit.weights)
+    return reference_shifts(used, weighed, estimate.fit.parameters, _source(referenced, estimate))
 
 
 def _assemble(
@@ -220,7 +235,11 @@ def _assemble(
     names = len(parameters.names)
     sensor = SensorModel(parameters.bias_nt, parameters.scale, parameters.nonorthogonality_deg)
     lost = int(np.count_nonzero(fit.weights <= 0))
-    extras = {**fit.extras, **extras_of(judgement, len(estimate.observations)), "status_of_fit": str(fit.status)}
+    extras = {
+        **fit.extras,
+        **extras_of(judgement, parameters, len(estimate.observations)),
+        "status_of_fit": str(fit.status),
+    }
     extras["suspicions"] = [one.to_dict() for one in suspected]
     extras["error_budget"] = _budget(referenced, estimate, judgement)
     extras["mounting"] = mounting_of(replace(estimate.observations, weights=fit.weights), parameters).to_dict()

@@ -120,7 +120,7 @@ def _positional(samples: Samples, source: ReferenceSource) -> Iterator[BudgetIte
     if found is None:
         yield BudgetItem("orbit", None, "too few positions in a row to tell the field's gradient")
         return
-    along_km, how = _along_track_km(samples, source)
+    along_km, how = along_track_km(samples, source)
     radial_km, across_km = _other_km(source.orbit_model)
     yield BudgetItem(
         "orbit_along_track", found.along * along_km, f"{along_km:.2g} km ({how}) x {found.along:.2g} nT/km"
@@ -185,7 +185,7 @@ def _places(samples: Samples) -> tuple[Times, Floats, Floats] | None:
     return t_utc[middle], r_km[middle], v_km_s
 
 
-def _along_track_km(samples: Samples, source: ReferenceSource) -> tuple[float, str]:
+def along_track_km(samples: Samples, source: ReferenceSource) -> tuple[float, str]:
     """Return the along-track error, km, and what it was taken from."""
     age = source.orbit_age_days
     if source.orbit_model == "telemetry-position":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from magcal_core.calibration.observability import (
     sphere_coverage,
     vector_information,
 )
+from magcal_core.calibration.reference_errors import ReferenceShift
 from magcal_core.calibration.result import Observability, Parameters, ResidualStatistics, Verdict
 from magcal_core.calibration.selection import held_out_residuals_nt, rms_nt
 from magcal_core.calibration.uncertainty import HonestCovariance, honest_covariance
@@ -28,12 +29,15 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Circumstances:
-    """What the verdict must know that is not in the fit: age of the orbit, clock, samples left out, suspicions."""
+    """What the verdict must know that is not in the fit: the orbit's age, clock, samples left out, suspicions, and what
+    errors of the reference do to the parameters.
+    """
 
     orbit_age_days: float
     has_time_offset: bool
     left_out: int
     suspicions: tuple[str, ...] = ()
+    reference: tuple[ReferenceShift, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,6 +45,7 @@ class Judgement:
     """Everything that is said of a fit beside its numbers."""
 
     honest: HonestCovariance
+    reference: tuple[ReferenceShift, ...]
     standard_errors: Parameters
     before: ResidualStatistics
     after: ResidualStatistics
@@ -55,7 +60,8 @@ def judgement_of(
     estimator: Estimator, observations: Observations, fit: Fit, settings: FitSettings, circumstances: Circumstances
 ) -> Judgement:
     """Return what ``fit`` is worth."""
-    honest = honest_covariance(fit.blocks, fit.covariance, len(observations))
+    seen = honest_covariance(fit.blocks, fit.covariance, len(observations))
+    honest = replace(seen, covariance=_with_reference(seen.covariance, circumstances.reference))
     names = len(fit.parameters.names)
     errors = np.sqrt(np.diag(honest.covariance))
     errors = np.concatenate([errors, np.zeros(max(0, names - errors.size))])[:names]
@@ -88,6 +94,7 @@ def judgement_of(
     )
     return Judgement(
         honest,
+        circumstances.reference,
         standard_errors,
         before,
         after,
@@ -97,6 +104,15 @@ def judgement_of(
         judge(evidence),
         motion_words(directions),
     )
+
+
+def _with_reference(covariance: Floats, shifts: Sequence[ReferenceShift]) -> Floats:
+    """Return the covariance with that of the reference's errors, which leave no trace in the residuals."""
+    total = covariance.copy()
+    for one in shifts:
+        size = len(one.shift)
+        total[:size, :size] += np.outer(one.shift, one.shift)
+    return total
 
 
 def _misaligned_deg(fit: Fit) -> float:
@@ -170,13 +186,14 @@ def observability_of(observations: Observations, fit: Fit, is_vector: bool) -> t
     return Observability(index, condition, coverage, words), directions
 
 
-def extras_of(judgement: Judgement, samples: int) -> Mapping[str, object]:
+def extras_of(judgement: Judgement, parameters: Parameters, samples: int) -> Mapping[str, object]:
     """Return what the record carries of a judgement beside its own fields."""
     return {
         "uncertainty": {
-            "method": "block sandwich, leave-one-block-out, Student's t contained",
+            "method": "lowest frequencies of the scores, correlations by blocks, Student's t contained",
             "blocks": judgement.honest.blocks,
             "block_samples": min(judgement.honest.block_samples, samples),
+            "reference": [one.to_dict(parameters) for one in judgement.reference],
         },
         "advice": list(judgement.advice),
         "motion": judgement.motion,

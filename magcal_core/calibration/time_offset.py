@@ -58,6 +58,13 @@ class ClockFit:
         return self.is_converged and self.p_value < SIGNIFICANCE
 
     @property
+    def detectable_s(self) -> float:
+        """Offset, s, that the test finds in 95 % of the sessions that determine it as well as this one."""
+        from scipy.special import ndtri
+
+        return float(-(ndtri(SIGNIFICANCE / 2.0) + ndtri(0.05))) * self.offset_error_s
+
+    @property
     def is_bounded(self) -> bool:
         """Whether an offset that the data do not show would be too small to matter."""
         return self.is_converged and self.offset_error_s <= BOUNDED_S
@@ -71,6 +78,7 @@ class ClockFit:
             "drift_standard_error_s_per_day": self.drift_error_s_per_day,
             "p_value": self.p_value,
             "is_significant": self.is_significant,
+            "detectable_s": self.detectable_s,
         }
 
 

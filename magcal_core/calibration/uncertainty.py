@@ -1,11 +1,12 @@
-"""Honest errors: covariance that holds under correlated and heteroscedastic residuals, from blocks of the data.
+"""Honest errors: covariance that holds under correlated and heteroscedastic residuals, from the scores of the fit.
 
 Notes
 -----
-V = I^-1 (sum over blocks of s s^T) I^-1 with s the block's sum of J r (`docs/calibration.md`, honest errors). Each
-block is weighed as if it had been left out: (I - I_block)^-1 s in place of I^-1 s, so that a block that the estimate
-hangs on shows. The block length comes from the correlation of the parameters' own scores, not from that of the
-residuals: on a tumbling satellite a slow change of the bias makes a fast residual.
+Correlations between parameters: V = I^-1 (sum over blocks of s s^T) I^-1 with s the block's sum of J r
+(`docs/calibration.md`, errors). Each block is weighed as if it had been left out: (I - I_block)^-1 s in place of
+I^-1 s, so that a block that the estimate hangs on shows. The block length comes from the correlation of the
+parameters' own scores, not from that of the residuals: on a tumbling satellite a slow change of the bias makes a fast
+residual. Variances: from the lowest frequencies of the same scores (`low_frequencies`), which few blocks cannot give.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.calibration.fit import BlockScores, scaled_inverse
+from magcal_core.calibration.low_frequencies import low_frequency_variances
 
 Floats = NDArray[np.float64]
 
@@ -26,9 +28,6 @@ _CORRELATED: Final = 0.2
 """Correlation of scores below which they pass for independent."""
 _BLOCK_OVER_CORRELATION: Final = 2.5
 """Block length over the lag at which the correlation is gone: a block must be longer, its edges are correlated."""
-_CHANCE: Final = 0.5
-_LARGEST: Final = 0.7
-"""Correlation of neighbouring blocks, in units of chance, that is let pass, and the largest that is believed."""
 _T_95: Final = (
     12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131,
 )  # fmt: skip
@@ -38,7 +37,7 @@ _T_95: Final = (
 class HonestCovariance:
     """Covariance of the parameters, in the order of `Parameters.names`, and the blocks it was taken from.
 
-    The covariance contains Student's t: 1.96 standard errors are 95 % although the blocks are few.
+    The covariance contains Student's t: 1.96 standard errors are 95 % although the frequencies are few.
     """
 
     covariance: Floats
@@ -47,7 +46,7 @@ class HonestCovariance:
 
 
 def honest_covariance(scores: BlockScores, formal: Floats, samples: int) -> HonestCovariance:
-    """Return the block-sandwich covariance; no parameter's variance is taken below its ``formal`` one."""
+    """Return the covariance that the scores show; no parameter's variance is taken below its ``formal`` one."""
     count = len(scores.starts)
     per_block = _block_length(scores)
     edges = np.arange(0, count, per_block)
@@ -59,24 +58,11 @@ def honest_covariance(scores: BlockScores, formal: Floats, samples: int) -> Hone
     shifts = _left_out(total - normals, sums)
     m = len(edges)
     moves = shifts @ scores.to_parameters.T
-    covariance = moves.T @ moves * (m - 1) / m * (student_95(m - 1) / 1.96) ** 2
-    wanted = np.maximum(np.diag(covariance) * _long_memory(moves), np.diag(formal))
+    covariance = moves.T @ moves * (m - 1) / m
+    variances, frequencies = low_frequency_variances(scores)
+    wanted = np.maximum(variances * (student_95(frequencies) / 1.96) ** 2, np.diag(formal))
     raise_by = np.sqrt(wanted / np.maximum(np.diag(covariance), 1e-300))
     return HonestCovariance(covariance * np.outer(raise_by, raise_by), m, max(1, round(samples * per_block / count)))
-
-
-def _long_memory(moves: Floats) -> Floats:
-    """Return by how much each variance is too small because neighbouring blocks, rows of ``moves``, go together.
-
-    (1 + r) / (1 - r), the sum over a first-order process' correlations, with r the correlation of neighbours; the r
-    that independent blocks show by chance, and the -1/m that blocks which sum to zero show, are allowed for.
-    """
-    m = len(moves)
-    centred = moves - moves.mean(axis=0)
-    size = np.maximum(np.sum(centred**2, axis=0), 1e-300)
-    r = np.sum(centred[1:] * centred[:-1], axis=0) / size + 1.0 / m
-    r = np.clip(r - _CHANCE / np.sqrt(m), 0.0, _LARGEST)
-    return np.asarray((1.0 + r) / (1.0 - r))
 
 
 def _left_out(normals: Floats, scores: Floats) -> Floats:
