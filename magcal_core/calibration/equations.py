@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.calibration.fit import BlockScores, Observations, block_moments, block_starts
+from magcal_core.calibration.fit import BlockScores, Observations, block_moments, block_starts, scaled_inverse
 from magcal_core.calibration.jacobians import (
     Standardised,
     rows_from_theta,
@@ -51,6 +51,23 @@ def equations_at(observations: Observations, parameters: Parameters, *, is_vecto
     """
     normals, scores, costs = _parts(observations, parameters, np.zeros(1, dtype=np.intp), is_vector=is_vector)
     return Equations(normals[0], scores[0], float(costs[0]))
+
+
+def scalar_responses(observations: Observations, parameters: Parameters, changes_nt: Floats) -> Floats:
+    """Return by how much the scalar estimate moves, shape (p, m), where |B| changes by ``changes_nt``, shape (n, m).
+
+    In the order of `Parameters.names` without the clock: one Gauss-Newton step, I^-1 J^T W c.
+    """
+    o, z = observations, _raw(observations)
+    k, m = len(z.names), changes_nt.shape[1]
+    own = theta_of_parameters(parameters, z)
+    p = own.size
+    theta, normal, gradient = np.concatenate([own, np.zeros(m)]), np.empty((p + m, p + m)), np.empty(p + m)
+    arrays = (o.h_nt, o.b_nt, o.weights, z.columns, np.ascontiguousarray(changes_nt))
+    accumulate(*arrays, theta, 0, 1.0, _PLAIN, normal, gradient)
+    matrix, _, _ = rows_from_theta(own, k)
+    to_parameters = rows_jacobian(matrix, z) @ theta_jacobian(own, k)
+    return np.asarray(to_parameters @ scaled_inverse(normal[:p, :p]) @ normal[:p, p:])
 
 
 def block_equations(

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.attitude.rotation import rotate
-from magcal_core.calibration.equations import equations_at
+from magcal_core.calibration.equations import equations_at, scalar_responses
 from magcal_core.calibration.error_budget import ReferenceSource, along_track_km
 from magcal_core.calibration.fit import Observations, scaled_inverse
 from magcal_core.calibration.result import Parameters
@@ -71,11 +71,12 @@ def reference_shifts(
         along_km, how = along_track_km(samples, source)
         late = along_km * _along_nt_per_km(source, t_utc, r_km, _directions(samples, rows))
         errors.append(("orbit_along_track", f"{along_km:.2g} km ({how})", late))
-    main_nt = source.field.field_itrf_nt(t_utc, r_km)
-    return tuple(
-        ReferenceShift(name, why, _shift(some, parameters, few, main_nt, error_nt, is_vector=source.is_vector))
-        for name, why, error_nt in errors
-    )
+    sizes = np.stack([error_nt for _, _, error_nt in errors])
+    moves = _vector_moves if source.is_vector else _scalar_moves
+    shifts = np.zeros((len(errors), len(parameters.names)))
+    found = moves(some, parameters, few, source.field.field_itrf_nt(t_utc, r_km), sizes)
+    shifts[:, : found.shape[1]] = found
+    return tuple(ReferenceShift(name, why, shift) for (name, why, _), shift in zip(errors, shifts, strict=True))
 
 
 def _directions(samples: Samples, rows: NDArray[np.intp]) -> Floats:
@@ -95,26 +96,23 @@ def _along_nt_per_km(source: ReferenceSource, t_utc: Times, r_km: Floats, along:
     return np.asarray((ahead - behind) / (2.0 * _STEP_KM))
 
 
-def _shift(
-    observations: Observations,
-    parameters: Parameters,
-    samples: Samples,
-    main_nt: Floats,
-    error_nt: Floats,
-    *,
-    is_vector: bool,
+def _scalar_moves(
+    observations: Observations, parameters: Parameters, _samples: Samples, main_nt: Floats, errors_nt: Floats
 ) -> Floats:
-    """Return the change of the parameters where the reference changes by ``error_nt``, shape (n, 3), ITRF, nT."""
-    moved = observations
-    if is_vector and samples.q_base_gcrf is not None and observations.b_base_nt is not None:
-        in_base = rotate(samples.q_base_gcrf, itrf_to_gcrf_fast(samples.t_utc, error_nt))
-        moved = replace(observations, b_base_nt=observations.b_base_nt + in_base)
-    else:
-        along_field = np.einsum("ij,ij->i", error_nt, main_nt) / np.linalg.norm(main_nt, axis=1)
-        moved = replace(observations, b_nt=observations.b_nt + along_field)
-    here = equations_at(observations, parameters, is_vector=is_vector)
-    there = equations_at(moved, parameters, is_vector=is_vector)
-    shift = np.zeros(len(parameters.names))
-    step = -scaled_inverse(here.normal) @ (there.gradient - here.gradient)
-    shift[: step.size] = step
-    return shift
+    """Return the change of the parameters, shape (m, p), for errors of the reference, shape (m, n, 3), ITRF, nT."""
+    along_field = np.einsum("mni,ni->nm", errors_nt, main_nt) / np.linalg.norm(main_nt, axis=1)[:, None]
+    return scalar_responses(observations, parameters, along_field).T
+
+
+def _vector_moves(
+    observations: Observations, parameters: Parameters, samples: Samples, _main_nt: Floats, errors_nt: Floats
+) -> Floats:
+    """Return the same where components count."""
+    q, b_nt = samples.q_base_gcrf, observations.require_vector()
+    here = equations_at(observations, parameters, is_vector=True)
+    inverse, moves = scaled_inverse(here.normal), []
+    for error_nt in errors_nt:
+        in_base = rotate(q, itrf_to_gcrf_fast(samples.t_utc, error_nt)) if q is not None else error_nt
+        there = equations_at(replace(observations, b_base_nt=b_nt + in_base), parameters, is_vector=True)
+        moves.append(-inverse @ (there.gradient - here.gradient))
+    return np.array(moves)
