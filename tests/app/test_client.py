@@ -17,7 +17,7 @@ CSV = b"time,bx,by,bz,ref_b\n2026-01-01T00:00:00Z,20000,1,2,20000\n2026-01-01T00
 
 
 def magcal(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", "from app.cli.main import run; run()", *arguments]
+    command = [Path(sys.executable).with_name("magcal"), *arguments]
     return subprocess.run(
         command, cwd=ROOT, env=os.environ | environment, capture_output=True, text=True, timeout=120, check=False
     )
@@ -131,6 +131,25 @@ def test_keys_are_made_listed_and_revoked_on_the_command_line(tmp_path):
         plain.stdout.split("_")[1]: False,
     }
     assert record["key"] not in magcal("keys", "list", **folder).stdout
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_shells_are_told_how_to_complete(shell):
+    done = magcal(_MAGCAL_COMPLETE=f"{shell}_source")
+    assert done.returncode == 0, done.stderr
+    assert f"_MAGCAL_COMPLETE={shell}_complete" in done.stdout
+    page = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
+    assert f"_MAGCAL_COMPLETE={shell}_source magcal" in page
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [("magcal cal", "calibrate"), ("magcal push --wa", "--watch"), ("magcal calibrate --unit m", "mT")],
+)
+def test_commands_options_and_values_are_completed(words, wanted):
+    last = str(len(words.split()) - 1)
+    done = magcal(_MAGCAL_COMPLETE="bash_complete", COMP_WORDS=words, COMP_CWORD=last)
+    assert f"plain,{wanted}" in done.stdout.splitlines()
 
 
 def test_wrong_usage_exits_2_and_a_missing_key_exits_1(tmp_path):

@@ -287,6 +287,19 @@ def test_applying_corrects_telemetry_and_the_inverse_brings_it_back(api, found, 
     )
 
 
+def test_an_on_board_correction_is_taken_back_before_a_new_fit(api, satellite, found, telemetry):
+    """What a satellite corrected with an old set, un-applied by the service, is fitted as the raw readings are."""
+    path = f"/parameter-sets/{found['id']}/apply"
+    corrected = api.post(path, content=telemetry, headers=CSV).content
+    raw = api.post(path, params={"inverse": "true"}, content=corrected, headers=CSV).content
+    api.post(f"/satellites/{satellite}/magnetometers", json={"id": "again", "unit": "nT"}).raise_for_status()
+    sessions = f"/satellites/{satellite}/sessions?magnetometer=again"
+    fits = [calibrated(api, api.post(sessions, content=one, headers=CSV).json()["id"]) for one in (raw, corrected)]
+    for name in ("bias_nt", "scale", "nonorthogonality_deg"):
+        np.testing.assert_allclose(fits[0]["parameters"][name], found["parameters"][name], rtol=1e-5, err_msg=name)
+    assert np.abs(fits[1]["parameters"]["bias_nt"]).max() < 100.0
+
+
 def test_parameter_sets_of_another_satellite_are_not_there(service, api, found):
     with service.client(service.key("admin", satellites=["mine"])) as bound:
         nothing = bound.get("/parameter-sets/" + "0" * 32)
