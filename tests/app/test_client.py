@@ -1,16 +1,23 @@
 """The client and the commands over it, against a real server and real network faults."""
 
+import asyncio
 import json
 import os
 import socket
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from app.client import Client, JobFailedError, ServiceAnswerError, ServiceUnreachableError, media_type_of
+from app.client import Client, JobFailedError, Record, ServiceAnswerError, ServiceUnreachableError, media_type_of
+from app.client_async import AsyncClient
+from app.demo.mission import SESSIONS, simulated, tle_text
+from magcal_core.telemetry import read_samples, write_samples
 
 ROOT = Path(__file__).resolve().parents[2]
 CSV = b"time,bx,by,bz,ref_b\n2026-01-01T00:00:00Z,20000,1,2,20000\n2026-01-01T00:00:10Z,20001,1,2,20000\n"
@@ -61,10 +68,11 @@ def whole_request(connection: socket.socket) -> bytes:
     return head.replace(b"keep-alive", b"close") + b"\r\n\r\n" + body
 
 
-def test_the_client_tries_again_when_the_connection_is_cut(service, satellite):
-    """The first request is lost, the answer to the second is, and the third is answered: one session is kept."""
+@contextmanager
+def unsteady(service) -> Iterator[tuple[str, list[bytes]]]:
+    """Yield the address of a relay that loses one request, then one answer; and the statuses that the service gave."""
     upstream = ("127.0.0.1", int(service.url.rpartition(":")[2]))
-    statuses = []
+    statuses: list[bytes] = []
 
     def relay(listener: socket.socket) -> None:
         for number in range(3):
@@ -84,13 +92,57 @@ def test_the_client_tries_again_when_the_connection_is_cut(service, satellite):
         listener.settimeout(60)
         thread = threading.Thread(target=relay, args=(listener,))
         thread.start()
-        with Client(f"http://127.0.0.1:{listener.getsockname()[1]}", service.admin_key) as client:
-            session = client.upload(satellite, "mgm", CSV, "text/csv")
+        yield f"http://127.0.0.1:{listener.getsockname()[1]}", statuses
         thread.join()
+
+
+def sent_through(url: str, key: str, satellite: str) -> Record:
+    with Client(url, key) as client:
+        return client.upload(satellite, "mgm", CSV, "text/csv")
+
+
+def sent_awaiting(url: str, key: str, satellite: str) -> Record:
+    async def send() -> Record:
+        async with AsyncClient(url, key) as client:
+            return await client.upload(satellite, "mgm", CSV, "text/csv")
+
+    return asyncio.run(send())
+
+
+@pytest.mark.parametrize("send", [sent_through, sent_awaiting])
+def test_both_clients_try_again_when_the_connection_is_cut(service, satellite, send):
+    """The first request is lost, the answer to the second is, and the third is answered: one session is kept."""
+    with unsteady(service) as (url, statuses):
+        session = send(url, service.admin_key, satellite)
     assert statuses == [b"201", b"200"]
     with service.client() as api:
         kept = api.get("/sessions", params={"satellite": satellite}).json()["items"]
     assert [one["id"] for one in kept] == [session["id"]]
+
+
+def test_the_async_client_walks_the_whole_way(service, satellite):
+    """Register, upload, calibrate, read, correct and take back: 1e-6 nT is what a CSV round trip leaves."""
+    clean = simulated(SESSIONS[0], 300).samples
+    telemetry = write_samples(clean, "csv")
+    shares, steps = [], []
+
+    async def way() -> tuple[Record, bytes]:
+        async with AsyncClient(service.url, service.admin_key) as client:
+            await client.create_satellite(satellite)
+            await client.create_magnetometer(satellite, "mgm", "nT")
+            await client.send_orbits(satellite, tle_text())
+            session = await client.upload(satellite, "mgm", telemetry, "text/csv", shares.append)
+            found = await client.calibrate([str(session["id"])], steps.append, method="vector")
+            listed = await client.get("/parameter-sets", satellite=satellite)
+            assert [one["id"] for one in listed["items"]] == [found["id"]]
+            assert b"MAGCAL_BIAS_NT" in await client.download(f"/parameter-sets/{found['id']}/export", format="c")
+            corrected = await client.apply(str(found["id"]), telemetry, "text/csv")
+            return found, await client.apply(str(found["id"]), corrected, "text/csv", inverse=True)
+
+    found, back = asyncio.run(way())
+    assert found["method"] == "vector"
+    assert shares[-1] == 1.0
+    np.testing.assert_allclose(read_samples(back).h_nt, clean.h_nt, atol=1e-6)
 
 
 def test_a_service_that_is_not_there_is_told_after_the_last_try():
