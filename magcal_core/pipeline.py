@@ -242,7 +242,7 @@ def _assemble(
     }
     extras["suspicions"] = [one.to_dict() for one in suspected]
     extras["error_budget"] = _budget(referenced, estimate, judgement)
-    extras["mounting"] = mounting_of(replace(estimate.observations, weights=fit.weights), parameters).to_dict()
+    extras["mounting"] = mounting_of(_oriented(referenced, estimate), parameters).to_dict()
     extras["device_steps"], unseen_devices = _device_steps(samples, estimate)
     if estimate.tried_clock is not None:
         extras["time_offset"] = estimate.tried_clock.to_dict()
@@ -285,6 +285,17 @@ def _assemble(
         orbits=referenced.report.orbits,
         extras=extras,
     )
+
+
+def _oriented(referenced: Referenced, estimate: _Estimate) -> Observations:
+    """Return the observations whose attitude is known; a scalar fit may have used others as well."""
+    observations = replace(estimate.observations, weights=estimate.fit.weights)
+    base_nt = referenced.samples.b_ref_base_nt
+    if observations.b_base_nt is not None or base_nt is None or estimate.clock is not None:
+        return observations
+    base_nt = base_nt[estimate.usable]
+    known = np.asarray(np.isfinite(base_nt).all(axis=1))
+    return replace(observations.take(known), b_base_nt=np.ascontiguousarray(base_nt[known]))
 
 
 def _device_steps(samples: Samples, estimate: _Estimate) -> tuple[list[dict[str, object]], tuple[str, ...]]:

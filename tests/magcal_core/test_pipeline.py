@@ -212,6 +212,33 @@ class TestBro4:
         assert np.shape(got.covariance) == (10, 10)
 
 
+class TestPartOfTheAttitude:
+    """A scalar fit needs no attitude: samples without one are in it all the same."""
+
+    def flown(self, orbit, share):
+        sensor = SensorModel([2928.125, -1191.25, -1875.625], [1.032695, 1.006685, 1.032875], [-4.53, -1.067, 7.915])
+        made = simulate(orbit, sensor, orbit.epoch_utc, 6000.0, 10.0, disturbances=Disturbances(noise_nt=30.0), seed=3)
+        q = made.samples.q_base_gcrf.copy()
+        q[: int(share * len(q))] = np.nan
+        return replace(made.samples, q_base_gcrf=q)
+
+    @pytest.mark.parametrize("time_offset", ["none", "estimate"])
+    def test_samples_without_attitude_take_part_in_a_scalar_fit(self, orbit, time_offset):
+        """Exactly the numbers of the same samples without any attitude."""
+        part, none = self.flown(orbit, 0.2), replace(self.flown(orbit, 0.2), q_base_gcrf=None)
+        got = calibrate(part, [orbit], time_offset=time_offset)
+        want = calibrate(none, [orbit], time_offset=time_offset)
+        assert got.samples == want.samples == 600
+        np.testing.assert_allclose(got.parameters.vector, want.parameters.vector, rtol=1e-9)
+
+    def test_the_mounting_is_resolved_by_the_samples_that_have_one(self, orbit):
+        assert calibrate(self.flown(orbit, 0.2), [orbit]).extras["mounting"]["state"] == "resolved"
+
+    def test_a_vector_fit_leaves_them_out(self, orbit):
+        got = calibrate(self.flown(orbit, 0.2), [orbit], method="vector")
+        assert (got.samples, got.rejected) == (480, 120)
+
+
 class TestTimeOffset:
     """Simulated passes with a clock offset planted: what must be added to the telemetry's clock."""
 
