@@ -23,6 +23,7 @@ from app.database import Database, utc_now
 from app.errors import ScopeRequiredError, TooManyFailuresError, UnauthorizedError
 from app.keys.repository import KEY_FORM, Caller, KeyRepository, Scope, secret_hash
 from app.keys.tables import ApiKey
+from app.oidc import Issuer
 
 LOGIN_COOKIE: Final = "magcal_login"
 SAFE_METHODS: Final = frozenset({"GET", "HEAD", "OPTIONS"})
@@ -152,6 +153,14 @@ def authenticate(request: Request) -> Caller:
     limiter: FailureLimiter = request.app.state.failures
     scheme, key = get_authorization_scheme_param(request.headers.get("authorization"))
     address, asked_s = _address(request), time.monotonic()
+    issuer: Issuer | None = request.app.state.issuer
+    if issuer is not None and scheme.lower() == "bearer" and issuer.is_token(key):
+        try:
+            return issuer.caller(key, address, request.state.request_id)
+        except UnauthorizedError:
+            limiter.check(f"address {address}")
+            limiter.note(f"address {address}")
+            raise
     with database.read() as session:
         if scheme.lower() == "bearer":
             row = verify_key(session, key)

@@ -28,6 +28,7 @@ from app.keys import endpoints as keys
 from app.limits import RequestLimits
 from app.logs import RequestLog
 from app.methods import Methods
+from app.oidc import open_issuer
 from app.orbits import endpoints as orbits
 from app.parameter_sets import endpoints as parameter_sets
 from app.parameter_sets import pointing
@@ -63,6 +64,7 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
     app.state.queue = app.state.engine.queue
     app.state.failures = FailureLimiter(settings.auth_failures_per_minute)
     app.state.recent = RecentKeys()
+    app.state.issuer = open_issuer(settings)
     app.state.texts = Texts()
     app.state.uploads = Admission(settings.max_uploads_at_once, settings.max_uploads_per_key)
     app.state.running = Running()

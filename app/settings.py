@@ -46,6 +46,12 @@ class Settings(BaseSettings):
 
     max_queued_jobs: PositiveInt = Field(20_000, description="Most jobs that wait, per key.")
     auth_failures_per_minute: PositiveInt = Field(20, description="Wrong keys per address and key id, per minute.")
+    oidc_issuer: str | None = Field(None, description="OpenID Connect issuer whose tokens are taken; unset: none.")
+    oidc_audience: str | None = Field(None, description="Audience (`aud`) that its tokens must be for.")
+    oidc_scope_claim: str = Field("magcal_scopes", description="Claim of a token that names its scopes.")
+    oidc_satellite_claim: str = Field(
+        "magcal_satellites", description="Claim of a token that names its satellites; only `*` means all."
+    )
     login_hours: PositiveFloat = Field(12.0, description="Life of a dashboard login, h.")
 
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="Least level that is logged.")
