@@ -23,6 +23,8 @@ from app.errors import StorageFullError, StoredObjectCorruptError, UnavailableEr
 from app.store import digest, verified
 
 FULL: Final = frozenset({errno.ENOSPC, errno.EDQUOT})
+FAILED: Final = (obstore.exceptions.BaseError, OSError)
+"""What obstore raises: some of its errors are only Python's own, such as that of a bucket that is not there."""
 
 log = structlog.get_logger()
 
@@ -111,7 +113,7 @@ class BucketStore:
         """Keep ``content`` under ``key`` and return its SHA-256, hexadecimal."""
         try:
             obstore.put(self._store, key, content)
-        except obstore.exceptions.BaseError as error:
+        except FAILED as error:
             raise UnavailableError("the store could not keep the object") from error
         return digest(content)
 
@@ -121,7 +123,7 @@ class BucketStore:
             content = bytes(obstore.get(self._store, key).bytes())
         except FileNotFoundError:
             raise StoredObjectCorruptError(f"the stored object {key} is gone") from None
-        except obstore.exceptions.BaseError as error:
+        except FAILED as error:
             raise UnavailableError("the store could not read the object") from error
         return verified(key, content, sha256)
 
@@ -131,7 +133,7 @@ class BucketStore:
             obstore.delete(self._store, key)
         except FileNotFoundError:
             return
-        except obstore.exceptions.BaseError as error:
+        except FAILED as error:
             raise UnavailableError("the store could not remove the object") from error
 
     def keys(self, _session: Session) -> Iterator[str]:
@@ -143,7 +145,7 @@ class BucketStore:
         """Raise UnavailableError where the bucket does not answer."""
         try:
             next(iter(obstore.list(self._store, chunk_size=1)), None)
-        except obstore.exceptions.BaseError as error:
+        except FAILED as error:
             raise UnavailableError("the store does not answer") from error
 
 

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import socket
+import subprocess
+import sys
 import time
+from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 
+import httpx2
 import pytest
 
 from app.demo.mission import SESSIONS, simulated, tle_text
-from app.errors import StorageFullError, UnavailableError
+from app.errors import StorageFullError, StoredObjectCorruptError, UnavailableError
 from app.object_store import BucketStore, FileStore, open_url
 from app.store import digest
 from app.upkeep.audit import audit
@@ -43,10 +48,58 @@ def ended(api, job_id: str, timeout_s: float = 120.0) -> dict:
     return job
 
 
-@pytest.fixture(params=["database", "file", "memory"])
-def service(request, new_service, tmp_path):
-    url = {"database": None, "file": f"file://{tmp_path}/store", "memory": "memory:///"}[request.param]
-    return new_service(store_url=url, workers=1)
+@pytest.fixture(scope="module")
+def s3_server(tmp_path_factory) -> Iterator[str]:
+    """An S3-compatible server as a process of its own, with the bucket ``kept``: its address."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    log = tmp_path_factory.mktemp("s3") / "log"
+    with log.open("wb") as lines:
+        command = [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)]
+        server = subprocess.Popen(command, stdout=lines, stderr=lines)
+    url = f"http://127.0.0.1:{port}"
+    try:
+        deadline = time.monotonic() + 60
+        while not _has_bucket(url):
+            assert server.poll() is None, log.read_text()
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+        yield url
+    finally:
+        server.terminate()
+        server.wait(20)
+
+
+def _has_bucket(url: str) -> bool:
+    try:
+        return httpx2.put(f"{url}/kept", trust_env=False).status_code == 200
+    except httpx2.TransportError:
+        return False
+
+
+def use_bucket(monkeypatch, url: str) -> None:
+    """Let obstore find the bucket's server and a key for it, as an operator does: in the environment."""
+    for name, value in {
+        "AWS_ENDPOINT_URL": url,
+        "AWS_ALLOW_HTTP": "true",
+        "AWS_REGION": "eu-central-1",
+        "AWS_ACCESS_KEY_ID": "AKIAMAGCAL",
+        "AWS_SECRET_ACCESS_KEY": "not-a-secret",
+    }.items():
+        monkeypatch.setenv(name, value)
+
+
+@pytest.fixture(params=["database", "file", "memory", "s3"])
+def service(request, new_service, tmp_path, monkeypatch):
+    urls = {
+        "database": None,
+        "file": f"file://{tmp_path}/store",
+        "memory": "memory:///",
+        "s3": f"s3://kept/{tmp_path.name}",
+    }
+    if request.param == "s3":
+        use_bucket(monkeypatch, request.getfixturevalue("s3_server"))
+    return new_service(store_url=urls[request.param], workers=1)
 
 
 @pytest.fixture
@@ -166,6 +219,28 @@ def test_a_folder_store_without_room_says_so_and_recovers(tmp_path, monkeypatch)
         folder.put(None, "raw/a/1", b"x")
     monkeypatch.undo()
     folder.put(None, "raw/a/1", b"x")
+
+
+def test_a_bucket_holds_what_is_asked_for_under_its_prefix_and_says_when_it_is_away(s3_server, monkeypatch):
+    """Against a server that speaks S3's protocol over HTTP; 30 MB go in parts."""
+    use_bucket(monkeypatch, s3_server)
+    bucket = open_url("s3://kept/under/here")
+    large = bytes(range(256)) * 120_000
+    assert bucket.put(None, "raw/a/large", large) == digest(large)
+    assert bucket.get(None, "raw/a/large", digest(large)) == large
+    assert list(bucket.keys(None)) == ["raw/a/large"]
+    listing = httpx2.get(f"{s3_server}/kept?list-type=2&prefix=under/", trust_env=False).text
+    assert "<Key>under/here/raw/a/large</Key>" in listing
+    with pytest.raises(StoredObjectCorruptError):
+        bucket.get(None, "raw/a/large", digest(b"another"))
+    bucket.delete(None, "raw/a/large")
+    bucket.delete(None, "raw/a/large")
+    with pytest.raises(StoredObjectCorruptError):
+        bucket.get(None, "raw/a/large", digest(large))
+    with pytest.raises(UnavailableError):
+        open_url("s3://not-there/x").check()
+    with pytest.raises(UnavailableError):
+        open_url("s3://not-there/x").put(None, "raw/a/1", b"x")
 
 
 def test_the_url_tells_the_store(tmp_path):
