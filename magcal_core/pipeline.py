@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from magcal_core.calibration import ESTIMATORS
 from magcal_core.calibration.bootstrap import bootstrap
+from magcal_core.calibration.corrections import lengths
 from magcal_core.calibration.error_budget import ReferenceSource, error_budget
 from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations, corrected_nt
 from magcal_core.calibration.flags import jumps, saturated, spikes
@@ -346,7 +347,7 @@ def _residual_table(samples: Samples, estimate: _Estimate) -> ResidualTable:
     if samples.b_ref_magnitude_nt is not None:
         model_nt = samples.b_ref_magnitude_nt.copy()
     model_nt[estimate.usable] = estimate.observations.b_nt
-    length = np.linalg.norm(corrected, axis=1)
+    length = lengths(corrected)
     residual = length - model_nt
     if is_vector and samples.b_ref_base_nt is not None:
         base = samples.b_ref_base_nt.copy()
@@ -354,7 +355,7 @@ def _residual_table(samples: Samples, estimate: _Estimate) -> ResidualTable:
         residual = corrected - base
     weight = np.zeros(n)
     weight[estimate.usable] = estimate.fit.weights
-    raw_nt = np.linalg.norm(samples.h_nt, axis=1)
+    raw_nt = lengths(samples.h_nt)
     flags = _flagged(samples, estimate)
     return ResidualTable(samples.t_utc, length, raw_nt, model_nt, residual, weight, flags, corrected, samples.r_itrf_km)
 

@@ -11,6 +11,7 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.calibration.corrections import correct, lengths
 from magcal_core.calibration.result import Candidate, Parameters
 from magcal_core.errors import OptionError, OrbitMissingError, TelemetryValueError, TooFewSamplesError, UnitsError
 from magcal_core.samples import Samples
@@ -176,7 +177,7 @@ def check_units(h_nt: Floats, b_nt: Floats) -> None:
     UnitsError
         Median |h| / |B| is outside `UNIT_RATIO`; the message names the unit that would fit.
     """
-    ratio = float(np.median(np.linalg.norm(h_nt, axis=1) / b_nt))
+    ratio = float(np.median(lengths(h_nt) / b_nt))
     if UNIT_RATIO[0] <= ratio <= UNIT_RATIO[1]:
         return
     fits = [unit for unit, factor in NT_PER_UNIT.items() if unit != "nT" and 0.3 <= ratio * factor <= 3.0]
@@ -311,10 +312,10 @@ class Estimator(Protocol):
 def corrected_nt(observations: Observations, parameters: Parameters) -> Floats:
     """Return T^-1 (h - b - sum of regressor terms), shape (n, 3), nT, base frame."""
     matrix = matrix_of_parameters(parameters.scale, np.deg2rad(parameters.nonorthogonality_deg))
-    offset = observations.h_nt - parameters.bias_nt
+    reading = observations.h_nt
     for name, coefficients in parameters.regressors.items():
-        offset = offset - observations.regressors[name][:, None] * coefficients
-    return np.asarray(offset @ inverse_lower(matrix).T)
+        reading = reading - observations.regressors[name][:, None] * coefficients
+    return correct(reading, parameters.bias_nt, inverse_lower(matrix))
 
 
 def residuals_nt(observations: Observations, parameters: Parameters, is_vector: bool) -> Floats:
@@ -322,7 +323,7 @@ def residuals_nt(observations: Observations, parameters: Parameters, is_vector: 
     corrected = corrected_nt(observations, parameters)
     if is_vector:
         return corrected - observations.require_vector()
-    return np.asarray(np.linalg.norm(corrected, axis=1) - observations.b_nt)
+    return lengths(corrected) - observations.b_nt
 
 
 def block_starts(n: int, blocks: int = 256) -> NDArray[np.intp]:

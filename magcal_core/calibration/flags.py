@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.calibration.medians import peaks_above, running_median
 from magcal_core.calibration.weights import GAUSSIAN_MAD
 
 Floats = NDArray[np.float64]
@@ -43,13 +44,14 @@ def jumps(residuals: Floats) -> Mask:
     if size.shape[1] < 2 * _SIDE + 1:
         return found
     for row in size:
-        windows = np.median(np.lib.stride_tricks.sliding_window_view(row, _SIDE), axis=1)
+        windows = running_median(np.ascontiguousarray(row), _SIDE)
         step = np.zeros(row.size)
         step[_SIDE : row.size - _SIDE + 1] = np.abs(windows[_SIDE:] - windows[:-_SIDE])
         noise = GAUSSIAN_MAD * float(np.median(np.abs(np.diff(row)))) / np.sqrt(2.0)
         limit = max(JUMP * float(np.median(step)), JUMP_NOISE * noise)
-        peaks = np.lib.stride_tricks.sliding_window_view(np.pad(step, _SIDE), 2 * _SIDE + 1).max(axis=1)
-        is_peak = (step > limit) & (step == peaks) & (limit > 0)
+        if limit <= 0:
+            continue
+        is_peak = peaks_above(step, limit, _SIDE)
         found |= is_peak & ~np.concatenate([[False], is_peak[:-1]])
     return found
 
@@ -68,4 +70,4 @@ def saturated(h_nt: Floats) -> Mask:
 
 def _running_median(row: Floats) -> Floats:
     padded = np.pad(row, 3, mode="reflect") if row.size > 3 else np.pad(row, 3, mode="edge")
-    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, 7), axis=1))
+    return running_median(np.ascontiguousarray(padded), 7)

@@ -78,3 +78,32 @@ def median_size(
             scratch[count] = abs(values[i])
             count += 1
     return _two_middle(scratch[:count], 0, count)
+
+
+@njit(cache=True, nogil=True)
+def running_median(values: Floats, width: int) -> Floats:  # pragma: no cover - compiled
+    """Return the median of each window of ``width`` values, odd, shape (n - width + 1,); none may be NaN."""
+    out = np.empty(max(values.size - width + 1, 0))
+    window = np.empty(width)
+    for start in range(out.size):
+        for i in range(width):
+            value, j = values[start + i], i
+            while j > 0 and window[j - 1] > value:
+                window[j] = window[j - 1]
+                j -= 1
+            window[j] = value
+        out[start] = window[width // 2]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def peaks_above(values: Floats, limit: float, side: int) -> NDArray[np.bool_]:  # pragma: no cover - compiled
+    """Return which values are above ``limit`` and not below any of the ``side`` values on either side, shape (n,)."""
+    found = np.zeros(values.size, np.bool_)
+    for i in range(values.size):
+        if values[i] > limit:
+            found[i] = True
+            for j in range(max(0, i - side), min(values.size, i + side + 1)):
+                if values[j] > values[i]:
+                    found[i] = False
+    return found

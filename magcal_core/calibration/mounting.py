@@ -103,10 +103,17 @@ def mounting_of(observations: Observations, parameters: Parameters) -> Mounting:
     for name, slope in parameters.regressors.items():
         h_nt = h_nt - observations.regressors[name][:, None] * slope
     b_nt = observations.b_base_nt
-    if np.linalg.matrix_rank(b_nt - b_nt.mean(axis=0), tol=1e-4 * np.sqrt(len(b_nt)) * float(np.abs(b_nt).max())) < 3:
+    if _is_flat(b_nt):
         return Mounting("free", f"the field stayed in a plane of the attitude's frame; {_FREE}")
     affine = fit_affine(b_nt, h_nt, observations.weights, is_robust=True)
     return _of_affine(affine, "attitude")
+
+
+def _is_flat(b_nt: Floats) -> bool:
+    """Return whether the field, shape (n, 3), stays in a plane to 1e-4 of its largest component."""
+    centred = b_nt - b_nt.mean(axis=0)
+    thinnest = max(float(np.linalg.eigvalsh(centred.T @ centred / len(b_nt))[0]), 0.0)
+    return bool(np.sqrt(thinnest) <= 1e-4 * float(np.abs(b_nt).max()))
 
 
 def mounting_by_second(rotation: Floats, covariance_rad2: Floats, second: Mounting | None = None) -> Mounting:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from magcal_core.calibration.jacobians import matrix_jacobian
@@ -164,12 +166,33 @@ def sphere_coverage(directions: Floats, reach_deg: float = 15.0) -> float:
     radius = np.sqrt(1.0 - z**2)
     grid = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), z])
     near = np.zeros(600, dtype=bool)
-    # Directions a degree apart cover the same: one of each is enough, and a million cost as little as a thousand.
-    cells = np.rint(directions * 50.0).astype(np.intp) + 50
-    seen = np.zeros(101**3, dtype=bool)
-    seen[(cells[:, 0] * 101 + cells[:, 1]) * 101 + cells[:, 2]] = True
-    rounded = np.stack(np.unravel_index(np.flatnonzero(seen), (101, 101, 101)), axis=1) / 50.0 - 1.0
-    rounded /= np.maximum(np.linalg.norm(rounded, axis=1, keepdims=True), 1e-12)
-    for start in range(0, len(rounded), 4096):
-        near |= (grid @ rounded[start : start + 4096].T).max(axis=1) >= np.cos(np.deg2rad(reach_deg))
+    _mark_near(grid, np.require(directions, np.float64, ["C", "W"]), float(np.cos(np.deg2rad(reach_deg))), near)
     return float(near.mean())
+
+
+@njit(cache=True, nogil=True)
+def _mark_near(
+    grid: Floats, directions: Floats, cosine: float, near: NDArray[np.bool_]
+) -> None:  # pragma: no cover - compiled
+    """Mark the ``grid`` vectors that have one of ``directions`` within the angle of this ``cosine``.
+
+    Directions a degree apart cover the same: one of each is enough, and a million cost as little as a thousand.
+    """
+    seen = np.zeros(101**3, np.bool_)
+    cells = np.empty((min(len(directions), 101**3), 3))
+    count = 0
+    for i in range(len(directions)):
+        x, y, z = np.rint(directions[i, 0] * 50.0), np.rint(directions[i, 1] * 50.0), np.rint(directions[i, 2] * 50.0)
+        if not (abs(x) <= 50.0 and abs(y) <= 50.0 and abs(z) <= 50.0):
+            continue
+        cell = int(((x + 50.0) * 101.0 + y + 50.0) * 101.0 + z + 50.0)
+        if not seen[cell]:
+            seen[cell] = True
+            size = max(math.sqrt(x * x + y * y + z * z), 1e-12)
+            cells[count, 0], cells[count, 1], cells[count, 2] = x / size, y / size, z / size
+            count += 1
+    for k in range(len(grid)):
+        for i in range(count):
+            if grid[k, 0] * cells[i, 0] + grid[k, 1] * cells[i, 1] + grid[k, 2] * cells[i, 2] >= cosine:
+                near[k] = True
+                break
