@@ -17,7 +17,12 @@ GAUSSIAN_MAD: Final = 1.4826
 
 def robust_sigma(residuals: Floats, floor: float = 0.0) -> float:
     """Return 1.4826 times the median of |``residuals``|, at least ``floor``, in the residuals' unit."""
-    return max(GAUSSIAN_MAD * float(np.median(np.abs(residuals))), floor)
+    size = np.abs(residuals).ravel()
+    low, high = (size.size - 1) // 2, size.size // 2
+    # What `numpy.median` does, without what it does around it; the last place is where a NaN would be.
+    size.partition((low, high, size.size - 1))
+    middle = float("nan") if np.isnan(size[-1]) else 0.5 * float(size[low] + size[high])
+    return max(GAUSSIAN_MAD * middle, floor)
 
 
 def weights_and_slopes(residuals: Floats, robust: str, sigma: float) -> tuple[Floats, Floats]:

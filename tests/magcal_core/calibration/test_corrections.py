@@ -7,6 +7,7 @@ from magcal_core.calibration.corrections import correct, lengths
 from magcal_core.calibration.flags import JUMP, JUMP_NOISE, jumps
 from magcal_core.calibration.medians import peaks_above, running_median
 from magcal_core.calibration.observability import sphere_coverage
+from magcal_core.calibration.weights import robust_sigma
 
 
 @pytest.mark.parametrize("order", ["C", "F"])
@@ -76,3 +77,12 @@ def test_coverage_is_that_of_every_direction(kind):
 def test_directions_that_are_none_cover_nothing():
     """A reading of zero length has no direction."""
     assert sphere_coverage(np.full((3, 3), np.nan)) == 0.0
+
+
+@pytest.mark.parametrize("shape", [(1,), (2,), (701,), (40, 3)])
+def test_robust_scales_are_numpys_medians(shape):
+    """Exact; one missing value and there is no median."""
+    residuals = np.random.default_rng(5).normal(size=shape)
+    assert robust_sigma(residuals) == 1.4826 * float(np.median(np.abs(residuals)))
+    residuals.flat[0] = np.nan
+    assert np.isnan(robust_sigma(residuals))
