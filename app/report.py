@@ -122,9 +122,13 @@ def command_line(record: ParameterSetRecord) -> str:
         "method": record["method"],
         "orbit": options.get("orbit"),
         "field": options.get("field"),
+        "field-max-degree": options.get("field_max_degree"),
         "time-offset": options.get("time_offset"),
         "robust": options.get("robust"),
         "noise-model": options.get("noise_model"),
+        "noise": options.get("noise_nt"),
+        "bootstrap": options.get("bootstrap") or None,
+        "seed": options.get("seed") or None,
         "max-orbit-age-days": options.get("max_orbit_age_days"),
     }
     regressors = options.get("regressors")
@@ -132,7 +136,8 @@ def command_line(record: ParameterSetRecord) -> str:
         flags["regressors"] = regressors if isinstance(regressors, str) else ",".join(str(name) for name in regressors)
     needs_orbit = record["orbit_model"] in {"sgp4", "numerical"}
     given = [f"--{name} {value}" for name, value in flags.items() if value not in (None, "")]
-    return " ".join(["magcal calibrate TELEMETRY", *(["--tle TLE"] if needs_orbit else []), *given, "--json"])
+    drift = ["--time-drift"] if options.get("time_drift") is True else []
+    return " ".join(["magcal calibrate TELEMETRY", *(["--tle TLE"] if needs_orbit else []), *given, *drift, "--json"])
 
 
 def print_pdf(html: str, target: Path) -> None:
@@ -256,7 +261,10 @@ def _residual_plates(residuals: ResidualTable) -> list[tuple[str, str, str, Figu
         sphere = figures.residual_sphere(residuals.corrected_base_nt, scalar)
         plates.append(("sphere", "Residual on the body sphere", caption, sphere))
     if residuals.r_itrf_km is not None:
-        caption = "Geocentric latitude and longitude of the satellite; a regional pattern points at the field model."
+        caption = (
+            "Geocentric latitude and longitude of the satellite, lines of equal |B| (nT) at its height; "
+            "a regional pattern points at the field model."
+        )
         earth = figures.residual_map(residuals.t_utc, residuals.r_itrf_km, scalar)
         plates.append(("map", "Residual over the Earth", caption, earth))
     return plates
@@ -267,6 +275,15 @@ def _sized_json(figure: Figure) -> str:
     return script_json(str(figure.to_json()))
 
 
+def _words(value: object) -> str:
+    """Return an option's value as people write it."""
+    if isinstance(value, list):
+        return ", ".join(map(_words, value)) or "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return "–" if value is None else str(value)
+
+
 @cache
 def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -274,5 +291,6 @@ def _environment() -> Environment:
     made = Environment(loader=PackageLoader("app.dashboard"), autoescape=True, undefined=StrictUndefined)
     made.filters["digits"] = lambda value, digits: "–" if value is None else f"{value:,.{digits}f}"
     made.filters["day"] = lambda text: text.replace("T", " ")[:19] + " UTC"
-    made.filters["rows"] = lambda matrix, digits: np.round(np.array(matrix), digits).tolist()
+    made.filters["rows"] = lambda matrix, digits: (np.round(np.array(matrix), digits) + 0.0).tolist()
+    made.filters["words"] = _words
     return made
