@@ -8,7 +8,7 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from threading import Lock
 from typing import Annotated, Final
 from urllib.parse import urlsplit
@@ -34,6 +34,17 @@ MOST_RECENT: Final = 1000
 TRUSTED_S: Final = 0.5
 
 bearer = HTTPBearer(auto_error=False, description="A key of `magcal keys create`: `mgc_<id>_<secret>`.")
+
+
+class SteadyClock:
+    """Time that does not go back while this process runs, so that a clock set back revives no key."""
+
+    def __init__(self) -> None:
+        self._begun, self._begun_s = utc_now(), time.monotonic()
+
+    def now(self) -> datetime:
+        """Return the machine's time, or what it must be at the least."""
+        return max(utc_now(), self._begun + timedelta(seconds=time.monotonic() - self._begun_s))
 
 
 class FailureLimiter:
@@ -107,14 +118,14 @@ def _mark(key: str) -> bytes:
     return hashlib.sha256(key.encode()).digest()
 
 
-def verify_key(session: Session, key: str) -> ApiKey | None:
-    """Return the key's row where ``key`` is right and in force; takes the same time for every wrong one."""
+def verify_key(session: Session, key: str, now: datetime) -> ApiKey | None:
+    """Return the key's row where ``key`` is right and in force ``now``; takes the same time for every wrong one."""
     form = KEY_FORM.fullmatch(key)
     row = KeyRepository(session).find(form[1]) if form else None
     kept = DUMMY_HASH if row is None else row.secret_sha256
     given = secret_hash(form[2] if form else "no secret")
     is_right = hmac.compare_digest(kept, given)
-    return row if row is not None and is_right and _is_in_force(row, utc_now()) else None
+    return row if row is not None and is_right and _is_in_force(row, now) else None
 
 
 def _is_in_force(row: ApiKey, now: datetime) -> bool:
@@ -132,14 +143,14 @@ def is_same_origin(request: Request) -> bool:
     return urlsplit(request.headers.get("origin", "")).netloc == request.headers.get("host", "-")
 
 
-def _verify_login(session: Session, request: Request) -> ApiKey | None:
+def _verify_login(session: Session, request: Request, now: datetime) -> ApiKey | None:
     """Return the key behind the login cookie; changes need the page's own origin, so that no other site can ask."""
     token = request.cookies.get(LOGIN_COOKIE)
     if token is None:
         return None
     if request.method not in SAFE_METHODS and not is_same_origin(request):
         return None
-    keys, now = KeyRepository(session), utc_now()
+    keys = KeyRepository(session)
     login = keys.find_login(token)
     if login is None or login.expires_at <= now:
         return None
@@ -152,6 +163,7 @@ def authenticate(request: Request) -> Caller:
     database: Database = request.app.state.database
     limiter: FailureLimiter = request.app.state.failures
     scheme, key = get_authorization_scheme_param(request.headers.get("authorization"))
+    clock: SteadyClock = request.app.state.clock
     address, asked_s = _address(request), time.monotonic()
     issuer: Issuer | None = request.app.state.issuer
     if issuer is not None and scheme.lower() == "bearer" and issuer.is_token(key):
@@ -163,9 +175,9 @@ def authenticate(request: Request) -> Caller:
             raise
     with database.read() as session:
         if scheme.lower() == "bearer":
-            row = verify_key(session, key)
+            row = verify_key(session, key, clock.now())
         else:
-            row = None if scheme else _verify_login(session, request)
+            row = None if scheme else _verify_login(session, request, clock.now())
     if row is None:
         form = KEY_FORM.fullmatch(key)
         suspects = [f"address {address}", *([f"key {form[1]}"] if form else [])]

@@ -12,7 +12,7 @@ from fastapi_offline import FastAPIOffline
 from starlette.concurrency import run_in_threadpool
 
 from app import health
-from app.auth import FailureLimiter, RecentKeys
+from app.auth import FailureLimiter, RecentKeys, SteadyClock
 from app.conditional import Revalidation
 from app.dashboard import endpoints as displays
 from app.dashboard import pages
@@ -64,6 +64,7 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
     app.state.queue = app.state.engine.queue
     app.state.failures = FailureLimiter(settings.auth_failures_per_minute)
     app.state.recent = RecentKeys()
+    app.state.clock = SteadyClock()
     app.state.issuer = open_issuer(settings)
     app.state.texts = Texts()
     app.state.uploads = Admission(settings.max_uploads_at_once, settings.max_uploads_per_key)

@@ -139,7 +139,7 @@ def log_in(
     except TooManyFailuresError as error:
         return _render("login.html", 429, title="Sign in", target=target, message=f"{error.message}.")
     with db.write() as session:
-        row = verify_key(session, key)
+        row = verify_key(session, key, request.app.state.clock.now())
         token = None
         if row is not None:
             caller = Caller(row.id, frozenset(row.scopes), address=address, request_id=request.state.request_id)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 
 import numpy as np
@@ -14,9 +14,13 @@ from app.jobs.kind import WrongKindError
 from app.orbits.parsing import orbit_of
 from app.parameter_sets.residuals import residual_table, to_bytes
 from app.sessions.repository import samples_of
+from magcal_core.calibration.result import Calibration
+from magcal_core.errors import EstimationError, InputError
 from magcal_core.options import METHODS, CalibrationOptions
+from magcal_core.orbit import Orbit
 from magcal_core.orbit.sgp4 import Sgp4Orbit
 from magcal_core.pipeline import calibrate as run
+from magcal_core.sessions import calibrate_jointly
 
 
 def calibrate(work: object, report: Report) -> Outcome:
@@ -24,12 +28,31 @@ def calibrate(work: object, report: Report) -> Outcome:
     if not isinstance(work, CalibrationWork):
         raise WrongKindError("not a calibration")
     orbits = [orbit_of(content) for _, content in work.orbits]
-    found = run(samples_of(work.columns), orbits, CalibrationOptions.from_dict(work.options), progress=report)
-    record = without_nan(found.to_dict())
+    options = CalibrationOptions.from_dict(work.options)
+    together = samples_of([chunk for chunks in work.columns for chunk in chunks])
+    found = run(together, orbits, options, progress=report)
+    document = found.to_dict()
+    if len(work.columns) > 1:
+        document["joint"] = _joint(work, orbits, found)
+    record = without_nan(document)
     if not isinstance(record, dict):
         raise WrongKindError("a calibration's record is not a mapping")
     _complete_provenance(record["provenance"], work)
     return Outcome(record, {"residuals": to_bytes(residual_table(found.residuals))})
+
+
+def _joint(work: CalibrationWork, orbits: Sequence[Orbit], found: Calibration) -> dict[str, object]:
+    """Return what the sessions say one by one and together: shared axes, a bias for each, and whether they agree."""
+    sessions = {
+        str(one["session_id"]): samples_of(chunks) for one, chunks in zip(work.inputs, work.columns, strict=True)
+    }
+    chosen = CalibrationOptions.from_dict({**found.options, "regressors": list(found.parameters.regressors)})
+    try:
+        return calibrate_jointly(
+            sessions, orbits, chosen, time_offset_s=found.parameters.time_offset_s or 0.0
+        ).to_dict()
+    except (InputError, EstimationError) as error:
+        return {"error": {"code": error.code, "detail": str(error)}}
 
 
 def _complete_provenance(provenance: dict[str, object], work: CalibrationWork) -> None:

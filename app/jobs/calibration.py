@@ -37,9 +37,9 @@ DEFAULT_AGE_DAYS: Final = 14.0
 
 @dataclass(frozen=True, slots=True)
 class CalibrationWork:
-    """What a calibration works on: columnar chunks, orbits as (id, content), options, and its inputs' names."""
+    """What a calibration works on: each session's chunks, orbits as (id, content), options, and its inputs' names."""
 
-    columns: Sequence[bytes]
+    columns: Sequence[Sequence[bytes]]
     orbits: Sequence[tuple[str, str]]
     options: Mapping[str, object]
     inputs: Sequence[Mapping[str, object]]
@@ -89,7 +89,7 @@ class CalibrationKind:
         links = select(JobSession.session_id).where(JobSession.job_id == job.id).order_by(JobSession.session_id)
         sessions = SessionRepository(session, SYSTEM)
         rows = [sessions.get(one) for one in session.scalars(links)]
-        columns = [chunk for row in rows for chunk in sessions.columns(row.id, store)]
+        columns = [sessions.columns(row.id, store) for row in rows]
         begin = min(row.data_from for row in rows if row.data_from is not None)
         end = max(row.data_until for row in rows if row.data_until is not None)
         orbits = OrbitRepository(session, SYSTEM, str(job.satellite_id))

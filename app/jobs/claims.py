@@ -1,12 +1,16 @@
 """How an attempt takes, holds and ends a job: every statement is fenced by the attempt's number.
 
-Times are the database's own. A lease that ran out means that its worker is lost; the next claim takes the job over
-and counts the loss, and a job that lost too many workers is dead.
+Times are the database's own; on SQLite, whose clock is the machine's, `Sightings` guards against its steps. A lease
+that ran out means that its worker is lost; the next claim takes the job over and counts the loss, and a job that lost
+too many workers is dead.
 """
 
 from __future__ import annotations
 
+import threading
+import time
 from dataclasses import dataclass
+from datetime import datetime
 from typing import Final
 
 from sqlalchemy import ColumnElement, and_, case, or_, select, update
@@ -18,6 +22,8 @@ from app.jobs.reprocessing import settle
 from app.jobs.tables import Job
 
 DEAD: Final = "dead"
+MISSED_S: Final = 0.5
+"""A heartbeat may come so much late."""
 
 
 class LostClaimError(ServiceError):
@@ -43,46 +49,68 @@ class Renewal:
     is_cancelled: bool
 
 
-def is_work_waiting(session: Session) -> bool:
+class Sightings:
+    """Which running jobs of this machine have lost their worker, whatever its clock does meanwhile.
+
+    A lease that has run out by the clock counts once it has not been renewed for longer than a heartbeat of real time:
+    a clock that steps forward takes no job from a worker that lives. One that has not been renewed for much longer than
+    a lease counts in any case: a clock that steps back leaves no job to a worker that is dead.
+    """
+
+    def __init__(self, lease_s: float, heartbeat_s: float) -> None:
+        self._shortest_s = heartbeat_s + MISSED_S
+        self._longest_s = lease_s + heartbeat_s + MISSED_S
+        self._seen: dict[tuple[str, int], tuple[datetime | None, float]] = {}
+        self._lock = threading.Lock()
+
+    def lapsed(self, session: Session) -> ColumnElement[bool]:
+        """Return the condition that tells the jobs whose worker is lost."""
+        leases = select(Job.id, Job.attempts, Job.lease_until, Job.lease_until < DatabaseNow())
+        rows = session.execute(leases.where(Job.state == "running", Job.lease_until.is_not(None))).all()
+        now_s = time.monotonic()
+        with self._lock:
+            before, self._seen, lost = self._seen, {}, []
+            for job_id, attempt, until, is_over in rows:
+                known_until, since_s = before.get((job_id, attempt), (until, now_s))
+                since_s = since_s if known_until == until else now_s
+                self._seen[job_id, attempt] = until, since_s
+                if now_s - since_s > (self._shortest_s if is_over else self._longest_s):
+                    lost.append(job_id)
+        return and_(Job.state == "running", Job.id.in_(lost))
+
+
+def is_work_waiting(session: Session, lapsed: ColumnElement[bool]) -> bool:
     """Return whether a job waits or has lost its worker; a look that takes no lock."""
-    return session.scalar(select(Job.id).where(_is_free()).limit(1)) is not None
+    return session.scalar(select(Job.id).where(or_(Job.state == "queued", lapsed)).limit(1)) is not None
 
 
-def claim_next(session: Session, worker: str, lease_s: float, most_lost: int) -> Claim | None:
-    """Return a claim on a job whose worker is lost, or else on the one whose turn it is, if there is one."""
-    claim = None
-    if session.scalar(select(Job.id).where(_is_lapsed()).limit(1)) is not None:
-        bury_lost(session, most_lost)
-        claim = _claim_first(session, _is_lapsed(), worker, lease_s)
-    return claim or _claim_first(session, Job.state == "queued", worker, lease_s)
-
-
-def _claim_first(session: Session, state: ColumnElement[bool], worker: str, lease_s: float) -> Claim | None:
-    held = select(Job.lock).where(_is_alive(), Job.lock.is_not(None))
-    free = select(Job.id).where(state, or_(Job.lock.is_(None), Job.lock.not_in(held)))
-    first = free.order_by(Job.rank, Job.id).limit(1).scalar_subquery()
-    return _claim(session, Job.id == first, worker, lease_s)
+def claim_next(
+    session: Session, worker: str, lease_s: float, most_lost: int, lapsed: ColumnElement[bool]
+) -> Claim | None:
+    """Return a claim on a ``lapsed`` job, or else on the one whose turn it is, if there is one."""
+    bury_lost(session, most_lost, lapsed)
+    held = select(Job.lock).where(Job.state == "running", ~lapsed, Job.lock.is_not(None))
+    for state in (lapsed, Job.state == "queued"):
+        free = select(Job.id).where(state, or_(Job.lock.is_(None), Job.lock.not_in(held)))
+        first = free.order_by(Job.rank, Job.id).limit(1).scalar_subquery()
+        claim = _claim(session, Job.id == first, worker, lease_s)
+        if claim is not None:
+            return claim
+    return None
 
 
 def claim_one(session: Session, job_id: str, worker: str, lease_s: float, most_lost: int) -> Claim | None:
     """Return a claim on the job ``job_id``, unless it has ended or another attempt holds it."""
     claim = _claim(session, and_(Job.id == job_id, Job.state == "queued"), worker, lease_s)
     if claim is None:
-        bury_lost(session, most_lost)
-        claim = _claim(session, and_(Job.id == job_id, _is_lapsed()), worker, lease_s)
+        bury_lost(session, most_lost, lapsed_by_clock())
+        claim = _claim(session, and_(Job.id == job_id, lapsed_by_clock()), worker, lease_s)
     return claim
 
 
-def _is_lapsed() -> ColumnElement[bool]:
+def lapsed_by_clock() -> ColumnElement[bool]:
+    """Return the condition that tells jobs whose lease is over by the clock of the database."""
     return and_(Job.state == "running", Job.lease_until < DatabaseNow())
-
-
-def _is_free() -> ColumnElement[bool]:
-    return or_(Job.state == "queued", _is_lapsed())
-
-
-def _is_alive() -> ColumnElement[bool]:
-    return and_(Job.state == "running", Job.lease_until >= DatabaseNow())
 
 
 def _claim(session: Session, which: ColumnElement[bool], worker: str, lease_s: float) -> Claim | None:
@@ -104,12 +132,11 @@ def _claim(session: Session, which: ColumnElement[bool], worker: str, lease_s: f
     return None if row is None else Claim(*row)
 
 
-def bury_lost(session: Session, most_lost: int) -> int:
-    """Return how many jobs end here: those that lost their last worker, and those lost while being cancelled."""
-    lost = _is_lapsed()
-    cancelled = _end(session, and_(lost, Job.cancel_requested), "cancelled", None, None)
+def bury_lost(session: Session, most_lost: int, lapsed: ColumnElement[bool]) -> int:
+    """Return how many ``lapsed`` jobs end here: those that lost their last worker, or were being cancelled."""
+    cancelled = _end(session, and_(lapsed, Job.cancel_requested), "cancelled", None, None)
     why = problem(500, DEAD, f"the job lost its worker {most_lost} times; the last attempt gave no sign of life")
-    dead = _end(session, and_(lost, Job.lost_attempts + 1 >= most_lost), "failed", why, None)
+    dead = _end(session, and_(lapsed, Job.lost_attempts + 1 >= most_lost), "failed", why, None)
     return cancelled + dead
 
 

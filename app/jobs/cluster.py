@@ -25,7 +25,7 @@ from sqlalchemy.orm import Session
 
 from app.database import Database, DatabaseNow
 from app.errors import UnavailableError
-from app.jobs.claims import Claim, bury_lost, claim_one
+from app.jobs.claims import Claim, bury_lost, claim_one, lapsed_by_clock
 from app.jobs.execute import PATIENCE_S, Executor
 from app.jobs.tables import Job
 from app.retry import outlasting
@@ -195,7 +195,7 @@ class ClusterWorkers:
         is_lost = and_(Job.state == "running", Job.lease_until < DatabaseNow(-LOST_SIGHT_S))
         waits = and_(Job.state == "queued", Job.created_at < DatabaseNow(-60.0))
         with self._database.write() as session:
-            bury_lost(session, self._settings.job_attempts)
+            bury_lost(session, self._settings.job_attempts, lapsed_by_clock())
             lost = (
                 select(Job)
                 .where(or_(is_lost, waits), ~is_known.exists())

@@ -12,7 +12,7 @@ from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session
 
 from app.database import Database
-from app.jobs.claims import Claim, claim_next, is_work_waiting
+from app.jobs.claims import Claim, Sightings, claim_next, is_work_waiting
 from app.jobs.execute import Executor
 from app.jobs.tables import Job
 from app.settings import Settings
@@ -49,6 +49,7 @@ class EmbeddedWorkers:
         self._database = database
         self._settings = settings
         self._queue = queue
+        self._sightings = Sightings(settings.job_lease_s, settings.job_heartbeat_s)
         self._stopping = threading.Event()
         self._executors = [Executor(database, store, settings, queue) for _ in range(count)]
         self._threads = [
@@ -90,10 +91,11 @@ class EmbeddedWorkers:
     def _claim(self, name: str) -> Claim | None:
         try:
             with self._database.read() as session:
-                if not is_work_waiting(session):
+                if not is_work_waiting(session, self._sightings.lapsed(session)):
                     return None
             with self._database.write() as session:
-                return claim_next(session, name, self._settings.job_lease_s, self._settings.job_attempts)
+                lapsed = self._sightings.lapsed(session)
+                return claim_next(session, name, self._settings.job_lease_s, self._settings.job_attempts, lapsed)
         except OperationalError as error:
             log.warning("claim_failed", error=str(error.orig))
             self._stopping.wait(1.0)

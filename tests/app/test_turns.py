@@ -10,7 +10,7 @@ import pytest
 
 from app.database import Database, new_id, utc_now
 from app.demo.mission import SESSIONS, simulated, tle_text
-from app.jobs.claims import claim_next, finish
+from app.jobs.claims import claim_next, finish, lapsed_by_clock
 from app.jobs.engine import open_engine
 from app.jobs.tables import Job
 from app.jobs.turns import ROUNDS, take_turns
@@ -58,7 +58,7 @@ def work_off(database: Database, most: int = 1000) -> list[str]:
     order = []
     while len(order) < most:
         with database.write() as session:
-            claim = claim_next(session, "worker", 10.0, 3)
+            claim = claim_next(session, "worker", 10.0, 3, lapsed_by_clock())
             if claim is None:
                 break
             finish(session, claim, "succeeded", result={})
