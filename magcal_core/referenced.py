@@ -106,7 +106,7 @@ class Referenced:
 
     def observations(self, usable: NDArray[np.bool_], regressors: Sequence[str]) -> Observations:
         """Return the ``usable`` samples as an estimator sees them; without attitude where some of them have none."""
-        return Observations.of(_oriented(self.samples, usable), regressors, usable.astype(np.float64))
+        return Observations.of(oriented(self.samples, usable), regressors, usable.astype(np.float64))
 
     def shifted(self, usable: NDArray[np.bool_], regressors: Sequence[str], shift_s: Floats) -> Observations:
         """Return the same with the reference at times that are ``shift_s``, shape (usable,), s, after the clock's."""
@@ -121,10 +121,10 @@ class Referenced:
         )
         filled, _ = with_reference(moved, self.orbits, self.field, max_orbit_age_days=float("inf"))
         every = np.ones(len(bare), dtype=bool)
-        return Observations.of(replace(_oriented(filled, every), t_utc=bare.t_utc), regressors)
+        return Observations.of(replace(oriented(filled, every), t_utc=bare.t_utc), regressors)
 
 
-def _oriented(samples: Samples, usable: NDArray[np.bool_]) -> Samples:
+def oriented(samples: Samples, usable: NDArray[np.bool_]) -> Samples:
     """Return ``samples`` with the field in the base frame only where all of the ``usable`` ones have it."""
     base_nt = samples.b_ref_base_nt
     if base_nt is None or np.isfinite(base_nt[usable]).all():

@@ -16,7 +16,7 @@ from magcal_core.field.models import field_model
 from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
 from magcal_core.reference import with_reference
-from magcal_core.referenced import Referenced, in_time_order
+from magcal_core.referenced import Referenced, in_time_order, oriented
 from magcal_core.samples import Samples
 
 
@@ -26,10 +26,12 @@ def calibrate_jointly(
     options: CalibrationOptions | None = None,
     *,
     shared: Sequence[str] = DEFAULT_SHARED,
+    time_offset_s: float = 0.0,
 ) -> JointFit:
     """Return the joint calibration of several sessions of one magnetometer, by the names given.
 
-    Of the options, ``method`` (scalar or vector), field, orbit, regressors by name and ``robust`` are used.
+    The reference is taken ``time_offset_s`` after the telemetry's clock, where an orbit gives it. Of the options,
+    ``method`` (scalar or vector), field, orbit, regressors by name and ``robust`` are used.
 
     Raises
     ------
@@ -44,7 +46,11 @@ def calibrate_jointly(
     for samples in sessions.values():
         referenced = Referenced.of(samples, orbits, chosen)
         usable = referenced.usable(chosen.regressors, is_vector)
-        observed.append(referenced.observations(usable, chosen.regressors))
+        if time_offset_s and referenced.has_orbit:
+            shift_s = np.full(int(np.count_nonzero(usable)), time_offset_s)
+            observed.append(referenced.shifted(usable, chosen.regressors, shift_s))
+        else:
+            observed.append(referenced.observations(usable, chosen.regressors))
     return joint_fit(observed, list(sessions), shared=shared, is_vector=is_vector, robust=chosen.robust)
 
 
@@ -70,7 +76,8 @@ def monitor(
     for column in active.parameters.regressors:
         if column in filled.housekeeping:
             usable &= np.isfinite(filled.housekeeping[column])
-    observations = Observations.of(filled, list(active.parameters.regressors), usable.astype(np.float64))
+    columns = list(active.parameters.regressors)
+    observations = Observations.of(oriented(filled, usable), columns, usable.astype(np.float64))
     return judge_session(observations, active)
 
 

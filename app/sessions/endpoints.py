@@ -15,6 +15,7 @@ from app.keys.repository import Caller
 from app.resources import Blobs, Config, Db, Jobs
 from app.satellites.repository import SatelliteRepository
 from app.schemas import Page, Slug
+from app.sessions import judging
 from app.sessions.ingest import Ingest
 from app.sessions.repository import SessionRepository, samples_of
 from app.sessions.schemas import ChunkRead, SampleQuery, SessionDetail, SessionQuery, SessionRead, UploadQuery
@@ -179,3 +180,6 @@ def get_samples(
         if bound is not None:
             samples = samples.take(keeps(samples.t_utc, np.datetime64(bound.replace(tzinfo=None), "ns")))
     return table_response(write_samples(samples, form, with_flags=query.flags), form, f"session-{session_id}")
+
+
+router.routes.extend(judging.router.routes)

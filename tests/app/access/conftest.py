@@ -75,6 +75,7 @@ class World:
             "POST /field": {"json": {"time": ["2026-01-01T00:00:00Z"], "position_km": [[7000.0, 0.0, 0.0]]}},
             "POST /keys": {"json": {"scopes": ["read"]}},
             "GET /sessions/{session_id}/residual": {"params": {"parameter_set": ids["parameter_set_id"]}},
+            "GET /sessions/{session_id}/comparison": {"params": {"other": ids["session_id"]}},
             "GET /figures/compare": {"params": {"first": ids["parameter_set_id"], "second": ids["parameter_set_id"]}},
         }.get(name, {})
 

@@ -29,6 +29,8 @@ SCOPES = {
     "GET /sessions/{session_id}": "read",
     "GET /sessions/{session_id}/summary": "read",
     "GET /sessions/{session_id}/residual": "read",
+    "GET /sessions/{session_id}/monitoring": "read",
+    "GET /sessions/{session_id}/comparison": "read",
     "GET /sessions/{session_id}/figures/{figure}": "read",
     "POST /jobs": "operate",
     "POST /reprocessings": "operate",
