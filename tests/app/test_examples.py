@@ -1,9 +1,11 @@
 """The examples run as they stand."""
 
 import json
+import re
 import runpy
 import shlex
 import subprocess
+import sys
 from pathlib import Path
 
 import httpx2
@@ -31,6 +33,19 @@ def test_the_notebook_without_a_server_finds_the_truth(tmp_path, monkeypatch, ca
     off = np.abs(found.parameters.bias_nt - cells["truth"].bias_nt) / found.standard_errors.bias_nt
     assert off.max() < 4
     assert "accept" in capsys.readouterr().out
+    assert "plate-before-after" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_the_readme_s_own_telemetry_is_calibrated_as_it_says(tmp_path):
+    """The commands as they are printed, by a shell, in a folder that has what a fresh clone and `make install` have."""
+    blocks = re.findall(r"```sh\n(.*?)```", (EXAMPLES.parent / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    script = next(block for block in blocks if "magcal simulate" in block)
+    (tmp_path / "app").symlink_to(EXAMPLES.parent / "app")
+    (tmp_path / ".venv" / "bin").mkdir(parents=True)
+    (tmp_path / ".venv" / "bin" / "magcal").symlink_to(Path(sys.executable).with_name("magcal"))
+    done = subprocess.run(["sh", "-e", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "accept" in done.stdout
     assert "plate-before-after" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
