@@ -1,24 +1,37 @@
 """Run every benchmark: ``python -m benchmarks [ROOM ...]`` prints a table and writes it as JSON under ``results/``.
 
-Every module of this package that has ``figures()`` takes part.
+Every module of this package that has ``figures()`` takes part, each in a process of its own: one that fails is
+reported, the others go on, and the exit status tells. ``--write-docs`` writes the latest figures into
+``docs/performance.md`` and measures nothing.
+
+``MAGCAL_BENCH_ROOM_S`` is the most that one room may take (default 420 s); no further room is begun after
+``MAGCAL_BENCH_MINUTES`` (default 20 min).
 """
 
 from __future__ import annotations
 
-import datetime as dt
 import importlib
 import json
 import os
 import pkgutil
-import platform
+import signal
+import subprocess
 import sys
-from collections.abc import Iterator
-from pathlib import Path
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from typing import Final
 
 import benchmarks
 from benchmarks.measure import Figure
+from benchmarks.record import RoomRecord, now, update_latest
+from benchmarks.table import write_page
 
-RESULTS = Path(__file__).parent / "results"
+ROOM_S: Final = float(os.environ.get("MAGCAL_BENCH_ROOM_S", "420"))
+MINUTES: Final = float(os.environ.get("MAGCAL_BENCH_MINUTES", "20"))
+FIGURES_OF: Final = "--figures-of"
+WRITE_DOCS: Final = "--write-docs"
+STATES: Final = {True: "met", False: "MISSED", None: ""}
 
 
 def rooms() -> list[str]:
@@ -26,29 +39,72 @@ def rooms() -> list[str]:
     return [
         module.name
         for module in pkgutil.iter_modules(benchmarks.__path__)
-        if module.name not in ("measure", "__main__")
+        if module.name != "__main__" and hasattr(importlib.import_module(f"benchmarks.{module.name}"), "figures")
     ]
 
 
-def measured(names: list[str]) -> Iterator[Figure]:
-    """Yield the figures of the rooms in ``names``, printing each as it comes."""
+def tell(room: str) -> None:
+    """Print each figure of a room as a line of JSON; this is what a room's process does."""
+    for figure in importlib.import_module(f"benchmarks.{room}").figures():
+        print(json.dumps(figure.to_dict()), flush=True)
+
+
+def measured(room: str) -> Iterator[Figure]:
+    """Yield the figures of a room as its process tells them.
+
+    Raises
+    ------
+    RuntimeError
+        The room failed, or took longer than it may.
+    """
+    command = [sys.executable, "-m", "benchmarks", FIGURES_OF, room]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
+    limit = threading.Timer(ROOM_S, os.killpg, (process.pid, signal.SIGKILL))
+    limit.start()
+    try:
+        for line in process.stdout or ():
+            yield Figure(**json.loads(line))
+        status = process.wait()
+    finally:
+        limit.cancel()
+    if status:
+        raise RuntimeError("it was killed for its time" if status < 0 else f"it ended with status {status}")
+
+
+def run(names: Sequence[str]) -> list[str]:
+    """Measure and write the rooms in ``names``, and return what failed."""
+    begun, failed = time.monotonic(), []
     for name in names:
-        module = importlib.import_module(f"benchmarks.{name}")
-        for figure in module.figures():
-            state = {True: "met", False: "MISSED", None: ""}[figure.is_met]
-            value = f"{figure.value:12.4g} {figure.unit:10} {figure.aim:22}"
-            print(f"{figure.room:14} {figure.what:64} {value} {state} {figure.note}")
-            yield figure
+        if time.monotonic() - begun > 60 * MINUTES:
+            failed.append(f"{name}: not begun within {MINUTES:g} min")
+            continue
+        start, load, figures = time.monotonic(), os.getloadavg()[0], []
+        try:
+            for figure in measured(name):
+                figures.append(figure)
+                value = f"{figure.value:12.4g} {figure.unit:10} {figure.aim:22}"
+                print(f"{name:12} {figure.what:72} {value} {STATES[figure.is_met]} {figure.note}", flush=True)
+        except RuntimeError as error:
+            failed.append(f"{name}: {error}")
+        took_s = round(time.monotonic() - start, 1)
+        update_latest(RoomRecord(name, now(), took_s, round(load, 1), [figure.to_dict() for figure in figures]))
+        print(f"{name:12} took {took_s:g} s", flush=True)
+    return failed
 
 
 def main() -> None:
-    """Measure, print, write."""
-    figures = list(measured(sys.argv[1:] or rooms()))
-    RESULTS.mkdir(exist_ok=True)
-    machine = {"python": platform.python_version(), "machine": platform.machine(), "cores": os.cpu_count()}
-    stamp = dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
-    record = {"at": stamp, "machine": machine, "figures": [figure.to_dict() for figure in figures]}
-    (RESULTS / "latest.json").write_text(json.dumps(record, indent=1) + "\n")
+    """Do what the command line says."""
+    arguments = sys.argv[1:]
+    if arguments[:1] == [FIGURES_OF]:
+        tell(arguments[1])
+        return
+    if arguments == [WRITE_DOCS]:
+        write_page()
+        return
+    failed = run(arguments or rooms())
+    for line in failed:
+        print(f"FAILED {line}")
+    sys.exit(1 if failed else 0)
 
 
 if __name__ == "__main__":
