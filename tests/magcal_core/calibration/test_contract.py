@@ -1,5 +1,6 @@
 """What every estimator promises: the same tests run on each line of the registry."""
 
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -144,15 +145,18 @@ def test_turning_the_reference_turns_the_answer(method, mission):
 
 @ALL
 def test_every_planted_parameter_lies_within_three_sigma(method, mission):
-    """Bounded form of 500 seeds: 40 seeds x 9 parameters, at most 1 % and luck outside; 3 sigma leaves 0.27 %."""
+    """At least 99 % of the seeds, parameter by parameter; 3 sigma leaves 0.27 %, so that one of 40 may be outside.
+
+    ``MAGCAL_CONTRACT_SEEDS=500`` runs the full form.
+    """
     sensor = SensorModel([2928.125, -1191.25, -1875.625], [1.03, 1.007, 1.033], [-4.53, -1.067, 7.915])
-    outside = 0
-    for seed in range(40):
+    seeds, outside = int(os.environ.get("MAGCAL_CONTRACT_SEEDS", "40")), np.zeros(9)
+    for seed in range(seeds):
         flown = mission(n=400, seed=seed, sensor=sensor)
         got = fit(method, flown.samples)
-        off = np.abs(got.parameters.vector - flown.truth) / got.formal_standard_errors.vector
-        outside += int(np.count_nonzero(off > 3.0))
-    assert outside <= 4
+        outside += np.abs(got.parameters.vector - flown.truth) > 3.0 * got.formal_standard_errors.vector
+    assert outside.max() <= max(1, seeds // 100)
+    assert outside.sum() <= max(4, 9 * seeds // 100)
 
 
 @ALL
