@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -230,19 +229,10 @@ def parameter_set(calibration: Calibration, inputs: list[dict[str, object]]) -> 
     record["provenance"] = {"software": software, "inputs": inputs} | (
         provenance if isinstance(provenance, dict) else {}
     )
-    finite = _without_nan(record)
+    from app.finite import without_nan
+
+    finite = without_nan(record)
     return finite if isinstance(finite, dict) else record
-
-
-def _without_nan(value: object) -> object:
-    """Return a document with null in place of the numbers that JSON cannot say."""
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {key: _without_nan(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(one) for one in value]
-    return value
 
 
 def _write_residuals(calibration: Calibration, path: Path) -> None:

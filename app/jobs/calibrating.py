@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 
 import numpy as np
 
 from app.demo.mission import SESSIONS, simulated, tle_of
+from app.finite import without_nan
 from app.jobs.calibration import CalibrationWork
 from app.jobs.child import Outcome, Report
 from app.jobs.kind import WrongKindError
@@ -62,17 +63,6 @@ def _complete_provenance(provenance: dict[str, object], work: CalibrationWork) -
     orbits = provenance.get("orbits")
     for orbit in orbits if isinstance(orbits, list) else []:
         orbit["id"] = work.orbits[orbit.pop("index")][0]
-
-
-def without_nan(value: object) -> object:
-    """Return a document with null in place of the numbers that JSON cannot say."""
-    if isinstance(value, float):
-        return value if abs(value) < float("inf") else None
-    if isinstance(value, Mapping):
-        return {key: without_nan(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [without_nan(one) for one in value]
-    return value
 
 
 def warm(_work: object, _report: Report) -> Outcome:
