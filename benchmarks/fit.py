@@ -1,4 +1,4 @@
-"""The fits against scipy and against the paper's search in plain Python, side by side; and the whole pipeline."""
+"""The fits against scipy and against the paper's search in plain Python, side by side."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from scipy.optimize import least_squares
 from benchmarks.measure import Figure, interleaved_s
 from magcal_core.calibration import ESTIMATORS, FitSettings, Observations
 from magcal_core.calibration.hooke_jeeves import hooke_jeeves
-from magcal_core.pipeline import calibrate
 from magcal_core.samples import Samples
 from magcal_core.sensor import SensorModel, first_order_a
 
@@ -104,7 +103,7 @@ def compiled_hooke_jeeves(h: Floats, b: Floats, evaluations: int) -> int:
 
 
 def figures() -> Iterator[Figure]:
-    """Yield the fits' speed against peers and the pipeline's own."""
+    """Yield the fits' speed against peers."""
     for n, aim in ((100_000, 4.0), (1_000_000, 8.0)):
         observations = Observations.of(telemetry(n))
         fit = partial(ESTIMATORS["scalar"].fit, observations, FitSettings("soft_l1"))
@@ -114,12 +113,6 @@ def figures() -> Iterator[Figure]:
         note = f"{1e3 * times['ours']:.0f} ms, scipy {1e3 * times['scipy']:.0f} ms; scale, errors, checks included"
         yield Figure("fit", f"robust fit, {n:.0e} samples, over scipy", ratio, "x", f">= {aim:g}", ratio >= aim, note)
     yield _search()
-    for n, aim in ((700, 0.02), (100_000, 0.4)):
-        samples = telemetry(n)
-        for method in ("scalar", "vector"):
-            duration = interleaved_s({"pipeline": partial(calibrate, samples, method=method)}, rounds=5)["pipeline"]
-            what = f"pipeline, {method}, {n} samples, errors, verdict and all"
-            yield Figure("fit", what, duration, "s", f"<= {aim:g}", duration <= aim)
 
 
 def _search() -> Figure:
