@@ -28,6 +28,7 @@ class Site:
             "MAGCAL_MIN_FREE_MB": "0",
             **({"MAGCAL_DATABASE_URL": database_url} if database_url else {}),
         }
+        self.prefix: list[str] = []
         self.processes: list[subprocess.Popen[bytes]] = []
         self.admin_key = ""
 
@@ -40,7 +41,7 @@ class Site:
         number = len(self.processes)
         with (self.folder / f"{number}.log").open("wb") as log, (self.folder / f"{number}.out").open("wb") as out:
             process = subprocess.Popen(
-                [sys.executable, str(LAUNCH), *command],
+                [*self.prefix, sys.executable, str(LAUNCH), *command],
                 env=os.environ | self.environment | environment,
                 stdout=out,
                 stderr=log,
