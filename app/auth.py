@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import hmac
 import time
@@ -12,6 +13,7 @@ from datetime import datetime, timedelta
 from threading import Lock
 from typing import Annotated, Final
 from urllib.parse import urlsplit
+from weakref import WeakValueDictionary
 
 from fastapi import Depends, Request
 from fastapi.security import HTTPBearer
@@ -94,6 +96,11 @@ class RecentKeys:
 
     def __init__(self) -> None:
         self._holders: OrderedDict[bytes, _Holder] = OrderedDict()
+        self._turns: WeakValueDictionary[bytes, asyncio.Lock] = WeakValueDictionary()
+
+    def turn(self, key: str) -> asyncio.Lock:
+        """Return the lock under which the database is asked for ``key``."""
+        return self._turns.setdefault(_mark(key), asyncio.Lock())
 
     def find(self, key: str) -> _Holder | None:
         """Return what ``key`` stands for where it was right within `TRUSTED_S` and has not expired since."""
@@ -197,6 +204,11 @@ async def identify(request: Request, _documented: Annotated[object, Depends(bear
     recent: RecentKeys = request.app.state.recent
     scheme, key = get_authorization_scheme_param(request.headers.get("authorization"))
     found = recent.find(key) if scheme.lower() == "bearer" else None
+    if found is None and scheme.lower() == "bearer":
+        async with recent.turn(key):  # of a crowd with one key, the first asks for all
+            found = recent.find(key)
+            if found is None:
+                return await run_in_threadpool(authenticate, request)
     if found is None:
         return await run_in_threadpool(authenticate, request)
     return Caller(found.key_id, found.scopes, found.satellites, _address(request), request.state.request_id)

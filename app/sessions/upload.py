@@ -75,6 +75,14 @@ class Admission:
         """How many uploads there are at the moment."""
         return self._per_key.total()
 
+    def check(self, caller: Caller) -> None:
+        """Raise `QuotaError` or `BusyError` where there is no place: asked first, it refuses a crowd cheaply."""
+        used = self._per_key[caller.key_id]
+        if used >= self._most_per_key:
+            raise QuotaError("uploads in flight of this key", self._most_per_key, used, reset_s=1)
+        if self.in_flight >= self._most:
+            raise BusyError(f"{self._most} uploads are in flight, which is the limit; try again")
+
     @asynccontextmanager
     async def place(self, caller: Caller) -> AsyncIterator[None]:
         """Hold a place while an upload is received and kept.
@@ -84,11 +92,7 @@ class Admission:
         QuotaError, BusyError
             The key, or all keys together, have as many uploads in flight as they may.
         """
-        used = self._per_key[caller.key_id]
-        if used >= self._most_per_key:
-            raise QuotaError("uploads in flight of this key", self._most_per_key, used, reset_s=1)
-        if self.in_flight >= self._most:
-            raise BusyError(f"{self._most} uploads are in flight, which is the limit; try again")
+        self.check(caller)
         self._per_key[caller.key_id] += 1
         try:
             yield
