@@ -23,7 +23,7 @@ from magcal_core.calibration.result import Calibration, ResidualTable
 from magcal_core.calibration.steps import steps_of
 from magcal_core.calibration.suspicions import ClockFinding, Suspicion, suspicions
 from magcal_core.calibration.time_offset import AUTO_AGE_DAYS, ClockFit, fit_with_clock
-from magcal_core.errors import OptionError
+from magcal_core.errors import FrameError, OptionError
 from magcal_core.options import CalibrationOptions, OptionValues
 from magcal_core.orbit import Orbit
 from magcal_core.reference import TELEMETRY_POSITION
@@ -75,7 +75,10 @@ def calibrate(
     tell(0.0)
     referenced = Referenced.of(samples, orbits, chosen)
     tell(0.2)
-    estimate = _estimate(referenced, chosen)
+    try:
+        estimate = _estimate(referenced, chosen)
+    except FrameError as error:
+        raise _with_candidate(error, referenced) from error
     tell(0.6)
     left_out = len(samples) - len(estimate.observations)
     suspected = _suspicions(referenced, estimate)
@@ -204,6 +207,12 @@ def _suspicions(referenced: Referenced, estimate: _Estimate) -> tuple[Suspicion,
     found = None if clock is None else ClockFinding(-clock.offset_s, clock.offset_error_s)
     is_from_telemetry = referenced.report.orbit_model == TELEMETRY_POSITION
     return suspicions(referenced.samples, clock=found, position_field=referenced.field if is_from_telemetry else None)
+
+
+def _with_candidate(error: FrameError, referenced: Referenced) -> FrameError:
+    """Return ``error`` with the axes or the convention that would fit, where the data show one."""
+    found = [one.text for one in suspicions(referenced.samples)]
+    return FrameError("; ".join([str(error), *found]))
 
 
 def _source(referenced: Referenced, estimate: _Estimate) -> ReferenceSource:

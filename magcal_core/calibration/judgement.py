@@ -79,7 +79,7 @@ def judgement_of(
         parameters=fit.parameters,
         standard_errors=_at_mean(fit, standard_errors, observations, honest),
         mean_field_nt=float(observations.b_nt.mean()),
-        field_variation=float(observations.b_nt.std() / observations.b_nt.mean()),
+        field_variation=_variation(observations, fit),
         before=before,
         after=after,
         cross_validated_rms_nt=unseen,
@@ -113,6 +113,12 @@ def _with_reference(covariance: Floats, shifts: Sequence[ReferenceShift]) -> Flo
         size = len(one.shift)
         total[:size, :size] += np.outer(one.shift, one.shift)
     return total
+
+
+def _variation(observations: Observations, fit: Fit) -> float:
+    """Return the coefficient of variation of the corrected |B|, noise and all; of the reference's for a vector fit."""
+    length = observations.b_nt + fit.residuals_nt if fit.residuals_nt.ndim == 1 else observations.b_nt
+    return float(length.std() / length.mean())
 
 
 def _misaligned_deg(fit: Fit) -> float:

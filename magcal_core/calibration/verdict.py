@@ -125,7 +125,7 @@ def _residuals(evidence: Evidence) -> _Found:
         found += _graded(ratio, UNSEEN, "poor_on_unseen_data", f"{text}: ratio {ratio:.2g}")
         if unseen > evidence.before.rms_nt:
             found.append(("refuse", Reason("worse_than_raw", f"{text}, raw {evidence.before.rms_nt:.0f} nT")))
-    # At a minimum sum r |B| = 0, so that |mean r| <= sigma CV(|B|): a larger mean belongs to no minimum.
+    # At a minimum sum r |B| = 0 with the corrected |B|, so that |mean r| <= sigma CV(|B|): a larger mean is at none.
     bound = after.std_nt * evidence.field_variation
     if (
         evidence.is_plain

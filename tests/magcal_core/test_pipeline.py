@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from magcal_core.calibration import ESTIMATORS
-from magcal_core.errors import NotObservableError, OptionError, OrbitMissingError, TleEpochError, TooManyBadSamplesError
+from magcal_core.errors import (
+    FrameError,
+    NotObservableError,
+    OptionError,
+    OrbitMissingError,
+    TleEpochError,
+    TooManyBadSamplesError,
+)
 from magcal_core.options import METHODS, CalibrationOptions
 from magcal_core.orbit.sgp4 import Sgp4Orbit
 from magcal_core.orbit.tle import parse_tles
@@ -237,6 +244,25 @@ class TestPartOfTheAttitude:
     def test_a_vector_fit_leaves_them_out(self, orbit):
         got = calibrate(self.flown(orbit, 0.2), [orbit], method="vector")
         assert (got.samples, got.rejected) == (480, 120)
+
+
+def test_a_constant_field_is_accepted(orbit):
+    """In a coil cage |B| does not vary: the mean residual is -sigma^2 / |B|, which belongs to the minimum."""
+    made = simulate(orbit, SensorModel([2000, -1000, 500], [1.03, 1.01, 0.99], [-4, 1, 7]), orbit.epoch_utc, 6000, 10)
+    direction = made.b_base_nt / np.linalg.norm(made.b_base_nt, axis=1, keepdims=True)
+    noise = 100.0 * np.random.default_rng(4).normal(size=direction.shape)
+    sensor = SensorModel([2000, -1000, 500], [1.03, 1.01, 0.99], [-4, 1, 7])
+    h = sensor.apply(45000.0 * direction) + noise
+    samples = replace(made.samples, h_nt=h, q_base_gcrf=None, b_ref_magnitude_nt=np.full(len(h), 45000.0))
+    got = calibrate(samples)
+    assert got.verdict.grade == "accept"
+    np.testing.assert_allclose(got.parameters.vector[:3], sensor.bias_nt, atol=4 * got.standard_errors.bias_nt.max())
+
+
+def test_a_vector_fit_of_permuted_axes_names_the_right_ones(orbit):
+    samples = simulate(orbit, SensorModel([0, 0, 0], [1, 1, 1], [0, 0, 0]), orbit.epoch_utc, 6000, 10).samples
+    with pytest.raises(FrameError, match=r"seem to be \(z, x, y\)"):
+        calibrate(replace(samples, h_nt=samples.h_nt[:, [1, 2, 0]]), [orbit], method="vector")
 
 
 class TestTimeOffset:
