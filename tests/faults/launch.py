@@ -16,6 +16,7 @@ from sqlalchemy import Engine, event
 from sqlalchemy.orm import Session
 
 from app.cli.main import run
+from app.jobs import execute
 from app.jobs.calibration import CalibrationKind
 from app.sessions.ingest import Ingest
 
@@ -42,6 +43,8 @@ def plant() -> None:
         Ingest.keep = kill_after(Ingest.keep)  # type: ignore[method-assign]
     if point == "before_commit":
         event.listen(Session, "before_commit", lambda session: die() if session.new or session.dirty else None)
+    if point == "in_result":
+        execute.finish = kill_after(execute.finish)
     if pages := os.environ.get("FAULT_PAGES"):
         event.listen(
             Engine, "connect", lambda connection, _record: connection.execute(f"PRAGMA max_page_count={int(pages)}")
