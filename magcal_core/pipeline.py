@@ -338,7 +338,10 @@ def _warnings(referenced: Referenced, estimate: _Estimate, judgement: Judgement)
             )
     clock = estimate.tried_clock
     if clock is not None and estimate.clock is None:
-        found.append(f"time_offset_not_used: {clock.offset_s:.2f} +- {clock.offset_error_s:.2f} s is not significant")
+        found.append(
+            f"time_offset_not_used: {clock.offset_s:.2f} +- {clock.offset_error_s:.2f} s is not significant; data like "
+            f"these show {clock.detectable_s:.2g} s and more"
+        )
     if judgement.cross_validated_rms_nt is None:
         found.append("not_cross_validated: a part of the data alone does not determine the parameters")
     return tuple(found)

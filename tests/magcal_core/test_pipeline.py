@@ -293,7 +293,13 @@ class TestTimeOffset:
     def test_auto_leaves_out_an_offset_that_the_data_do_not_show(self, orbit):
         got = calibrate(self.flown(orbit, 0.0, days=5.0), [orbit])
         assert got.parameters.time_offset_s is None
-        assert [w for w in got.warnings if w.startswith("time_offset_not_used")]
+        (warning,) = [w for w in got.warnings if w.startswith("time_offset_not_used")]
+        assert "s and more" in warning
+
+    def test_the_result_says_which_offset_it_would_find(self, orbit):
+        """Two-sided 4 % and a power of 95 %: 2.054 + 1.645 standard errors."""
+        clock = calibrate(self.flown(orbit, 0.0), [orbit], time_offset="estimate").extras["time_offset"]
+        assert clock["detectable_s"] == pytest.approx(3.699 * clock["standard_error_s"], rel=1e-3)
 
     def test_planted_drift_is_found(self, orbit):
         """40 s a day over 3.2 h; within four standard errors."""
