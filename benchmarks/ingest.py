@@ -3,23 +3,34 @@
 from __future__ import annotations
 
 import io
+import json
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
+from sqlalchemy import func, select
 
+from app.database import Database
+from app.keys.repository import SYSTEM
+from app.sessions.repository import SessionRepository, samples_of
+from app.sessions.tables import TelemetrySession
+from app.settings import Settings
+from app.store import BlobPart, open_store
 from benchmarks.measure import Figure, interleaved_s
+from benchmarks.service import LeanClient, request_of, scratch, service
 from magcal_core.samples import Samples
 from magcal_core.telemetry import WRITERS, read_telemetry, write_samples
 
 ROOM = "ingest"
 AIMS = {"csv": 2e6, "parquet": 8e6}
 """Samples a second."""
+KINDS = {"csv": "text/csv", "parquet": "application/vnd.apache.parquet"}
 
 
 def session(n: int) -> Samples:
@@ -71,8 +82,58 @@ def _writing(samples: Samples, kind: str) -> Callable[[], object]:
     return lambda: write_samples(samples, kind)
 
 
+def _durable() -> Iterator[Figure]:
+    """Yield what an upload costs from its socket to the durable store, what it takes there, and reading it back."""
+    n = 1_000_000
+    with scratch() as folder, service(folder, "--workers", "0", MIN_FREE_MB="0") as running, running.client() as api:
+        api.post("/satellites", json={"id": "a"}).raise_for_status()
+        api.post("/satellites/a/magnetometers", json={"id": "m", "unit": "nT"}).raise_for_status()
+        client = LeanClient(running.port)
+        for kind, media_type in KINDS.items():
+            request = _upload(running.key, write_samples(session(1000), kind), media_type)
+            client.ask(request)
+            body = write_samples(session(n), kind)
+            cpu_s, begun = running.process.cpu_s(), time.perf_counter()
+            status, _, answer = client.ask(_upload(running.key, body, media_type))
+            elapsed_s, cpu_s = time.perf_counter() - begun, running.process.cpu_s() - cpu_s
+            if status != 201:
+                raise RuntimeError(answer.decode())
+            note = f"{n / cpu_s:.3g} a second of processor; {len(body) / n:.1f} bytes a sample as sent"
+            aim = AIMS[kind]
+            what = f"{kind} from socket to durable store, 1e6 samples"
+            yield Figure(ROOM, what, n / elapsed_s, "samples/s", f">= {aim:g}", n / elapsed_s >= aim, note)
+            if kind == "parquet":
+                kept = json.loads(answer)["id"]
+        client.ask(_upload(running.key, write_samples(session(100_000), "parquet"), KINDS["parquet"]))
+        client.close()
+        yield from _stored(Settings(data_dir=folder / "data"), kept, n)
+
+
+def _upload(key: str, body: bytes, media_type: str) -> bytes:
+    return request_of("POST", "/satellites/a/sessions?magnetometer=m", key, {"Content-Type": media_type}, body)
+
+
+def _stored(settings: Settings, session_id: str, n: int) -> Iterator[Figure]:
+    database, store = Database(settings), open_store(settings)
+    sizes = select(func.sum(func.length(BlobPart.content)))
+    with database.read() as opened:
+        size = opened.scalar(sizes.where(BlobPart.key.startswith(f"columns/{session_id}/"))) or 0
+        newest = select(TelemetrySession.id).where(TelemetrySession.samples == 100_000)
+        short_id = opened.scalar(newest) or ""
+
+    def read() -> object:
+        with database.read() as opened:
+            return samples_of(SessionRepository(opened, SYSTEM).columns(short_id, store))
+
+    yield Figure(ROOM, "columnar store, lossless", size / n, "bytes a sample", "<= 15", size / n <= 15)
+    took_ms = 1e3 * interleaved_s({"read": read}, rounds=9)["read"]
+    yield Figure(ROOM, "a session of 1e5 read back and verified", took_ms, "ms", "<= 5", took_ms <= 5)
+    database.close()
+
+
 def figures() -> Iterator[Figure]:
     """Yield the figures of this room."""
+    yield from _durable()
     n = 1_000_000
     bodies = {kind: write_samples(session(n), kind) for kind in WRITERS}
     runs = {kind: _reading(body, kind) for kind, body in bodies.items()} | {
