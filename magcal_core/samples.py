@@ -118,7 +118,9 @@ class Samples:
         return any(column is not None for column in given)
 
     def take(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Samples:
-        """Return the samples that ``index`` selects, columns and flags alike."""
+        """Return the samples that ``index`` selects, columns and flags alike; a mask that keeps all copies nothing."""
+        if selects_all(index):
+            return self
         own = {name: array[index] for name, array in self._own_columns().items()}
         keeping = {name: column[index] for name, column in self.housekeeping.items()}
         return Samples(**own, housekeeping=keeping)  # type: ignore[arg-type]
@@ -126,3 +128,8 @@ class Samples:
     def flagged(self, flag: SampleFlag, where: NDArray[np.bool_]) -> Samples:
         """Return the same samples with ``flag`` set where ``where`` is true."""
         return replace(self, flags=self.flags | np.where(where, np.uint16(flag), np.uint16(0)))
+
+
+def selects_all(index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> bool:
+    """Return whether ``index`` is a mask that keeps everything."""
+    return isinstance(index, np.ndarray) and index.dtype == np.bool_ and bool(index.all())

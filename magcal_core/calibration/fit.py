@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from magcal_core.calibration.corrections import correct, lengths
 from magcal_core.calibration.result import Candidate, Parameters
 from magcal_core.errors import OptionError, OrbitMissingError, TelemetryValueError, TooFewSamplesError, UnitsError
-from magcal_core.samples import Samples
+from magcal_core.samples import Samples, selects_all
 from magcal_core.sensor import inverse_lower, matrix_of_parameters
 from magcal_core.units import NT_PER_UNIT
 
@@ -121,7 +121,9 @@ class Observations:
         check_units(self.h_nt, self.b_nt)
 
     def take(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Observations:
-        """Return the observations that ``index`` selects."""
+        """Return the observations that ``index`` selects; a mask that keeps all copies nothing."""
+        if selects_all(index):
+            return self
         return Observations(
             self.t_s[index],
             _own(self.h_nt[index]),

@@ -100,9 +100,12 @@ def fit_with_clock(estimator: Estimator, at: At, t_s: Floats, settings: FitSetti
         if largest < _SMALL_S:
             is_converged = True
             break
-    observations = _with_rates(at, clock @ shapes, shapes)
-    fit = estimator.fit(observations, settings)
-    clock = clock + fit.clock
+    if is_converged:
+        observations, fit = _moved(observations, fit)
+    else:
+        observations = _with_rates(at, clock @ shapes, shapes)
+        fit = estimator.fit(observations, settings)
+        clock = clock + fit.clock
     honest = honest_covariance(fit.blocks, fit.covariance, len(observations))
     errors = np.sqrt(np.diag(honest.covariance))[-len(clock) :]
     score = abs(clock[0]) / max(errors[0], 1e-300)
@@ -128,3 +131,19 @@ def _with_rates(at: At, shift_s: Floats, shapes: Floats) -> Observations:
         slope = (sooner.b_base_nt - later.b_base_nt) / (2 * _RATE_STEP_S)
         base = np.ascontiguousarray(slope[:, None, :] * shapes.T[:, :, None])
     return replace(here, rate_nt_s=np.ascontiguousarray(rate[:, None] * shapes.T), rate_base_nt_s=base)
+
+
+def _moved(observations: Observations, fit: Fit) -> tuple[Observations, Fit]:
+    """Return observations and residuals with the reference where the fit's own last step of the clock puts it.
+
+    Along its rates: what the curve of the field adds over a step of `_SMALL_S` is some 1e-9 nT.
+    """
+    along = observations.rate_nt_s @ fit.clock
+    base, residuals = observations.b_base_nt, fit.residuals_nt + (along if fit.residuals_nt.ndim == 1 else 0.0)
+    if base is not None and observations.rate_base_nt_s is not None:
+        along_base = np.einsum("nmi,m->ni", observations.rate_base_nt_s, fit.clock)
+        base = np.ascontiguousarray(base - along_base)
+        if fit.residuals_nt.ndim == 2:
+            residuals = fit.residuals_nt + along_base
+    moved = replace(observations, b_nt=observations.b_nt - along, b_base_nt=base)
+    return moved, replace(fit, residuals_nt=residuals)
