@@ -82,7 +82,8 @@ def scan_scales(t_utc: Times, h_nt: Floats, b_nt: Floats) -> ScaleCandidate | No
     """
     t_s = (t_utc - t_utc[0]) / np.timedelta64(1, "ns") * 1e-9
     rising = np.concatenate([[True], np.diff(t_s) > 0])
-    t_s, b_nt, h_nt = t_s[rising], b_nt[rising], h_nt[rising]
+    if not rising.all():
+        t_s, b_nt, h_nt = t_s[rising], b_nt[rising], h_nt[rising]
     index = _movable(t_s)
     if len(index) < _FEWEST:
         return None

@@ -217,7 +217,8 @@ def _clock(samples: Samples, clock: ClockFinding | None) -> Iterator[Suspicion]:
                 f"{KNOWN_SCALES[scale]} time",
             )
         return
-    used = samples.take(usable(samples))
+    index = usable(samples)
+    used = samples if len(index) == len(samples) else samples.take(index)
     b_nt = magnitude_nt(used)
     found = None if b_nt is None else scan_scales(used.t_utc, used.h_nt, b_nt)
     if found is not None:
