@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.calibration.corrections import lengths
 from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations, corrected_nt
 from magcal_core.calibration.motion import advice, motion_words, vector_weak_words, weak_words
 from magcal_core.calibration.observability import (
@@ -149,7 +150,7 @@ def statistics_of(
     if is_vector:
         raw = observations.h_nt - observations.require_vector()
     else:
-        raw = np.linalg.norm(observations.h_nt, axis=1) - observations.b_nt
+        raw = lengths(observations.h_nt) - observations.b_nt
     used = fit.weights > 0
     b_nt = observations.b_nt[used]
     return residual_statistics(raw[used], b_nt), residual_statistics(fit.residuals_nt[used], b_nt)
@@ -182,9 +183,9 @@ def observability_of(observations: Observations, fit: Fit, is_vector: bool) -> t
         words = vector_weak_words(index, spreads, axes)
     else:
         x_nt = corrected_nt(observations, parameters)
-        length = np.linalg.norm(x_nt, axis=1)
+        length = lengths(x_nt)
         directions = x_nt / length[:, None]
-        gain = np.linalg.norm(directions @ np.linalg.inv(matrix), axis=1)
+        gain = lengths(directions @ np.linalg.inv(matrix))
         information = scalar_information(x_nt, matrix, robust_sigma((length - observations.b_nt) / gain))
         index = information.index
         words = weak_words(information, directions)
