@@ -18,6 +18,7 @@ from sqlalchemy.orm import Session
 from app.cli.main import run
 from app.jobs import execute
 from app.jobs.calibration import CalibrationKind
+from app.jobs.kinds import JOB_KINDS
 from app.sessions.ingest import Ingest
 
 
@@ -36,6 +37,10 @@ def kill_after(method: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def plant() -> None:
+    for kind in JOB_KINDS.values():
+        kind.warm = (
+            ""  # a child that is warm at once costs each of a test's many workers seconds, and no fault needs it
+        )
     point = os.environ.get("FAULT_POINT")
     if calculation := os.environ.get("FAULT_CALCULATION"):
         CalibrationKind.function = f"planted:{calculation}"
