@@ -10,12 +10,16 @@ STAMP  := $(VENV)/.installed
 help:            ## this list
 	@grep -hE '^[a-z]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 12
 
-system:          ## the one system package that the tests need: a Chromium, where there is none
-	@command -v chromium chromium-browser google-chrome >/dev/null || { \
-	  echo "installing chromium (tests drive a real browser)"; \
+system:          ## the two system packages that the tests need, where they are not: a Chromium, and strace
+	@wanted=; \
+	command -v chromium chromium-browser google-chrome >/dev/null || wanted="chromium fonts-dejavu-core"; \
+	command -v strace >/dev/null || wanted="$$wanted strace"; \
+	if [ -n "$$wanted" ]; then \
+	  echo "installing $$wanted (a real browser, and what a power loss would leave)"; \
 	  as_root=$$([ "$$(id -u)" = 0 ] || echo sudo); \
 	  $$as_root apt-get update -qq && \
-	  DEBIAN_FRONTEND=noninteractive $$as_root apt-get install -y -qq --no-install-recommends chromium fonts-dejavu-core >/dev/null; }
+	  DEBIAN_FRONTEND=noninteractive $$as_root apt-get install -y -qq --no-install-recommends $$wanted >/dev/null; \
+	fi
 
 $(STAMP): requirements/dev.txt pyproject.toml
 	$(PYTHON) -m venv $(VENV)

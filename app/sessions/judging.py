@@ -112,7 +112,7 @@ def get_session_monitoring(
     session_id: str, query: Annotated[MonitoringQuery, Query()], caller: Reader, db: Db, store: Blobs
 ) -> MonitoringRead:
     """Judge a session against the parameter set in force, or a given one; nothing is refitted."""
-    from app.jobs.calibrating import without_nan
+    from app.finite import without_nan
     from magcal_core.sessions import monitor
 
     with db.read() as session:

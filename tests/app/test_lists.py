@@ -12,7 +12,7 @@ from sqlalchemy import text
 from app.conditional import LONGEST_BYTES
 from app.database import new_id, utc_now
 from app.demo.mission import SESSIONS, simulated, tle_of
-from app.jobs.calibrating import without_nan
+from app.finite import without_nan
 from app.jobs.tables import Job
 from app.keys.repository import SYSTEM
 from app.parameter_sets.listing import Texts
