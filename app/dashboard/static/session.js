@@ -10,10 +10,10 @@ function calibrate(session) {
   const progress = h("div", { "aria-live": "polite" });
   const keeping = session.columns.filter((name) => !/^(time|[bq][wxyz]|ref_.*|[xyz]_km)$/.test(name));
   const node = form([
-    field("method", "Method", {}, [option("scalar", "scalar (no attitude needed)"), option("vector", "vector (attitude known)"),
-      option("scalar-hooke-jeeves", "scalar-hooke-jeeves (DEKART)"), option("vector-closed-form", "vector-closed-form (Lagrange)")]),
+    field("method", "Method", {}, [option("scalar", "scalar (|B| only)"), option("vector", "vector (attitude)"),
+      option("scalar-hooke-jeeves", "scalar-hooke-jeeves"), option("vector-closed-form", "vector-closed-form")]),
     field("orbit", "Orbit", {}, [option("sgp4"), option("numerical")]),
-    field("time_offset", "Clock offset", {}, [option("auto", "auto (where the orbit is old)"), option("none"), option("estimate")]),
+    field("time_offset", "Clock offset", {}, [option("auto", "auto (old orbits)"), option("none"), option("estimate")]),
     field("robust", "Outliers", {}, [option("none", "none (least squares)"), option("huber"), option("soft_l1"), option("cauchy"), option("tukey")]),
     field("regressors", `Regressors${keeping.length ? ` (${keeping.join(", ")})` : ""}`, { placeholder: "none; names, or auto" }),
     field("max_orbit_age_days", "Oldest orbit, days", { type: "number", min: 0, step: "any", placeholder: "14" }),
