@@ -17,7 +17,7 @@ from magcal_core.orbit.timescales import NS_PER_DAY, UNIX_EPOCH_MJD, Times, juli
 Floats = NDArray[np.float64]
 
 _MJD: Final = slice(7, 15)
-_FLAG: Final = slice(57, 58)
+_FLAG: Final = 57
 _XP_ARCSEC: Final = (slice(134, 144), slice(18, 27))
 _YP_ARCSEC: Final = (slice(144, 154), slice(37, 46))
 _UT1_UTC_S: Final = (slice(154, 165), slice(58, 68))
@@ -114,24 +114,34 @@ def earth_orientation() -> EarthOrientation:
     ``finals2000A.all``: Bulletin B where it is given, else Bulletin A, final and then predicted (IERS2010). Diurnal
     and semidiurnal tides in UT1 and polar motion are left out: at most 3 cm at the Earth's surface.
     """
-    lines = Path(astropy_iers_data.IERS_A_FILE).read_text(encoding="ascii").splitlines()
-    rows = [line for line in lines if line[_UT1_UTC_S[1]].strip() and line[_XP_ARCSEC[1]].strip()]
-    mjd = np.array([float(line[_MJD]) for line in rows])
+    content = Path(astropy_iers_data.IERS_A_FILE).read_bytes()
+    lines = np.frombuffer(content, "S1").reshape(-1, content.index(b"\n") + 1)
+    rows = lines[(lines[:, _UT1_UTC_S[1]] != b" ").any(axis=1) & (lines[:, _XP_ARCSEC[1]] != b" ").any(axis=1)]
+    mjd = _numbers(rows[:, _MJD])
     if not np.all(np.diff(mjd) == 1.0):
         raise ModelRangeError("the IERS table of astropy-iers-data has a gap")
     start_ns = (int(mjd[0]) - UNIX_EPOCH_MJD) * NS_PER_DAY
     days = (start_ns + np.arange(len(rows)) * NS_PER_DAY).view("datetime64[ns]")
-    predicted = next((i for i, line in enumerate(rows) if line[_FLAG] == "P"), len(rows) - 1)
+    predicted = np.flatnonzero(rows[:, _FLAG] == b"P")
     return EarthOrientation(
         start_ns=start_ns,
         ut1_tai_s=_column(rows, _UT1_UTC_S) - tai_minus_utc_s(days),
         xp_rad=_column(rows, _XP_ARCSEC) * _RAD_PER_ARCSEC,
         yp_rad=_column(rows, _YP_ARCSEC) * _RAD_PER_ARCSEC,
-        predicted_from=days[predicted],
+        predicted_from=days[predicted[0] if predicted.size else -1],
     )
 
 
-def _column(rows: list[str], bulletins: tuple[slice, slice]) -> Floats:
+def _column(rows: NDArray[np.bytes_], bulletins: tuple[slice, slice]) -> Floats:
     """Return a column as Bulletin B has it, where it has it, else as Bulletin A."""
-    first, second = bulletins
-    return np.array([float(row[first].strip() or row[second]) for row in rows])
+    final, quick = (rows[:, columns] for columns in bulletins)
+    is_final = (final != b" ").any(axis=1)
+    values = np.empty(len(rows))
+    values[is_final], values[~is_final] = _numbers(final[is_final]), _numbers(quick[~is_final])
+    return values
+
+
+def _numbers(characters: NDArray[np.bytes_]) -> Floats:
+    """Return the numbers that the rows of single ``characters`` spell."""
+    width = characters.shape[1]
+    return np.ascontiguousarray(characters).view(f"S{width}")[:, 0].astype(np.float64)
