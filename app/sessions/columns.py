@@ -17,22 +17,28 @@ from magcal_core.samples import Floats, Samples
 VECTORS: Final = {"h_nt": 3, "q_base_gcrf": 4, "b_ref_base_nt": 3, "b_ref_gcrf_nt": 3, "r_itrf_km": 3}
 KEEPING: Final = "housekeeping."
 TIMES: Final = "t_utc"
+MAGNITUDE: Final = "b_ref_magnitude_nt"
 SCALE: Final = b"decimals"
 FIRST: Final = b"first"
+NEGATIVE_ZEROS: Final = b"negative_zeros"
+MOST_NEGATIVE_ZEROS: Final = 100
+NAN_BITS: Final = int(np.array(np.nan).view(np.int64))
 DECIMALS: Final = range(7)
 PROBED: Final = 1000
 """Values that are looked at before a whole column is."""
+BLOCK: Final = 1 << 14
+"""Values that are looked at while they are in the processor's cache."""
 
 
 def encode(samples: Samples) -> bytes:
     """Return ``samples`` as Arrow IPC; every bit of every value is kept."""
-    columns: dict[str, pa.Array] = {"t_utc": pa.array(samples.t_utc.astype("datetime64[ns]"))}
+    columns: dict[str, pa.Array] = {TIMES: pa.array(samples.t_utc.astype("datetime64[ns]"))}
     for name, width in VECTORS.items():
         values: Floats | None = getattr(samples, name)
         if values is not None:
             columns |= {f"{name}[{i}]": pa.array(np.ascontiguousarray(values[:, i])) for i in range(width)}
     if samples.b_ref_magnitude_nt is not None:
-        columns["b_ref_magnitude_nt"] = pa.array(samples.b_ref_magnitude_nt)
+        columns[MAGNITUDE] = pa.array(samples.b_ref_magnitude_nt)
     columns |= {f"{KEEPING}{name}": pa.array(values) for name, values in samples.housekeeping.items()}
     columns["flags"] = pa.array(samples.flags)
     packed = [_packed(name, values) for name, values in columns.items()]
@@ -47,17 +53,18 @@ def encode(samples: Samples) -> bytes:
 def decode(content: bytes) -> Samples:
     """Return the samples that `encode` wrote."""
     table = pa.ipc.open_file(pa.BufferReader(content)).read_all()
-    columns = {one.name: _numbers(table, one) for one in table.schema if one.name not in {TIMES, "flags"}}
-    vectors = {
-        name: np.column_stack([columns[f"{name}[{i}]"] for i in range(width)])
-        for name, width in VECTORS.items()
-        if f"{name}[0]" in columns
-    }
-    keeping = {n.removeprefix(KEEPING): values for n, values in columns.items() if n.startswith(KEEPING)}
+    names = table.column_names
+    vectors = {name: np.empty((len(table), width)) for name, width in VECTORS.items() if f"{name}[0]" in names}
+    for name, values in vectors.items():
+        for i in range(VECTORS[name]):
+            _fill(values[:, i], table, f"{name}[{i}]")
+    alone = {name: np.empty(len(table)) for name in names if name == MAGNITUDE or name.startswith(KEEPING)}
+    for name, column in alone.items():
+        _fill(column, table, name)
     return Samples(
         t_utc=_times(table),
-        b_ref_magnitude_nt=columns.get("b_ref_magnitude_nt"),
-        housekeeping=keeping,
+        b_ref_magnitude_nt=alone.pop(MAGNITUDE, None),
+        housekeeping={name.removeprefix(KEEPING): column for name, column in alone.items()},
         flags=table.column("flags").to_numpy(),
         **vectors,
     )
@@ -68,11 +75,11 @@ def _packed(name: str, values: pa.Array) -> tuple[pa.Field, pa.Array]:
     plain = values.to_numpy(zero_copy_only=False)
     if plain.dtype == np.float64 and len(plain):
         for decimals in DECIMALS:
-            if not _is_whole(plain[:PROBED], decimals):
+            if _whole(plain[:PROBED], decimals) is None:
                 continue
-            if _is_whole(plain, decimals):
-                whole = pa.array(np.rint(plain * 10.0**decimals).astype(np.int32))
-                return pa.field(name, whole.type, metadata={SCALE: str(decimals)}), whole
+            whole = _whole(plain, decimals)
+            if whole is not None:
+                return _as_whole(name, plain, whole, decimals)
             break
     if plain.dtype == np.dtype("datetime64[ns]") and len(plain):
         ticks = plain.astype(np.int64)
@@ -81,21 +88,59 @@ def _packed(name: str, values: pa.Array) -> tuple[pa.Field, pa.Array]:
     return pa.field(name, values.type), values
 
 
-def _is_whole(values: Floats, decimals: int) -> bool:
-    """Return whether whole numbers of 32 bits, divided by a power of ten, are these values to the last bit."""
-    with np.errstate(over="ignore"):
-        whole = np.rint(values * 10.0**decimals)
-    if not bool(np.all(np.abs(whole) < 2**31)):
-        return False
-    back = whole.astype(np.int32) / 10.0**decimals
-    return bool(np.array_equal(back.view(np.int64), np.ascontiguousarray(values).view(np.int64)))
+def _as_whole(name: str, values: Floats, whole: NDArray[np.int32], decimals: int) -> tuple[pa.Field, pa.Array]:
+    """Return whole numbers as a column: empty where the value is NaN, rows of negative zeros told by the field."""
+    told = {SCALE: str(decimals)}
+    zeros = np.flatnonzero(whole == 0)
+    is_nan = None
+    if zeros.size:
+        suspects = values[zeros]
+        negative = zeros[(suspects == 0.0) & np.signbit(suspects)]
+        told |= {NEGATIVE_ZEROS: ",".join(map(str, negative))} if negative.size else {}
+        is_nan = np.isnan(values) if np.isnan(suspects).any() else None
+    column = pa.array(whole, mask=is_nan)
+    return pa.field(name, column.type, metadata=told), column
 
 
-def _numbers(table: pa.Table, field: pa.Field) -> Floats:
-    """Return a column of numbers as it was before `_packed`."""
-    values: Floats = table.column(field.name).to_numpy()
-    scale = (field.metadata or {}).get(SCALE)
-    return values if scale is None else values / 10.0 ** int(scale)
+def _whole(values: Floats, decimals: int) -> NDArray[np.int32] | None:
+    """Return ``values`` times a power of ten as whole numbers of 32 bits, None where that loses a bit of any.
+
+    NaN becomes 0, and so do the few negative zeros that there may be; the caller keeps both aside.
+    """
+    scale, whole, negative_zeros = 10.0**decimals, np.empty(len(values), np.int32), 0
+    for at in range(0, len(values), BLOCK):
+        part = values[at : at + BLOCK]
+        with np.errstate(over="ignore"):
+            scaled = np.rint(part * scale)
+        if not (scaled.min() > -(2.0**31) and scaled.max() < 2.0**31):
+            if not bool(np.all((np.abs(scaled) < 2.0**31) | (part.view(np.int64) == NAN_BITS))):
+                return None
+            scaled[np.isnan(part)] = 0.0
+        cells = scaled.astype(np.int32)
+        whole[at : at + BLOCK] = cells
+        differs = (cells / scale).view(np.int64) != part.view(np.int64)
+        if differs.any():
+            odd = part[differs]
+            zeros = int(np.count_nonzero(odd == 0.0))
+            negative_zeros += zeros
+            if zeros + int(np.count_nonzero(np.isnan(odd))) < len(odd) or negative_zeros > MOST_NEGATIVE_ZEROS:
+                return None
+    return whole
+
+
+def _fill(values: Floats, table: pa.Table, name: str) -> None:
+    """Fill ``values`` with a column of numbers as it was before `_packed`."""
+    column, told = table.column(name), table.schema.field(name).metadata or {}
+    scale = told.get(SCALE)
+    if scale is None:
+        values[:] = column.to_numpy()
+        return
+    whole = (column.fill_null(0) if column.null_count else column).to_numpy()
+    np.divide(whole, 10.0 ** int(scale), out=values)
+    if column.null_count:
+        values[column.is_null().to_numpy()] = np.nan
+    if NEGATIVE_ZEROS in told:
+        values[[int(row) for row in told[NEGATIVE_ZEROS].split(b",")]] = -0.0
 
 
 def _times(table: pa.Table) -> NDArray[np.datetime64]:

@@ -26,6 +26,10 @@ RNG = np.random.default_rng(7)
 PLAIN = RNG.normal(0.0, 30_000.0, (N, 3))
 ODD = PLAIN.round(2)
 ODD[-1] = [np.nan, -0.0, 5e-324]
+GAPS = PLAIN.round(2)
+GAPS[7:4000:9], GAPS[11, 1] = np.nan, -0.0
+FOREIGN_NAN = PLAIN.round(2)
+FOREIGN_NAN[5] = -np.nan
 
 
 @pytest.mark.parametrize(
@@ -38,6 +42,8 @@ ODD[-1] = [np.nan, -0.0, 5e-324]
         PLAIN.round(1) + 1e-9,
         np.full((N, 3), -0.0),
         np.full((N, 3), np.nan),
+        GAPS,
+        FOREIGN_NAN,
         ODD,
         np.full((N, 3), 1e308),
         np.zeros((1, 3)),
@@ -60,6 +66,12 @@ def test_readings_of_two_decimals_at_one_hertz_take_at_most_fifteen_bytes_a_samp
     t_utc = np.datetime64("2022-02-19T22:37:44", "ns") + np.arange(100_000) * np.timedelta64(1, "s")
     h_nt = (30_000.0 * np.sin(np.outer(np.arange(100_000), [0.0131, 0.0127, 0.0113]))).round(2)
     assert len(encode(Samples(t_utc, h_nt))) <= 15 * 100_000
+
+
+def test_empty_readings_and_a_negative_zero_cost_no_more_than_readings():
+    """One bit of such a reading more than the same column without it would have for its numbers; a byte is allowed."""
+    whole = PLAIN.round(2)
+    assert len(encode(samples_of(GAPS))) <= len(encode(samples_of(whole))) + N
 
 
 def test_a_chunk_of_the_plain_form_is_still_read():
