@@ -20,7 +20,7 @@ import structlog
 from sqlalchemy.orm import Session
 
 from app.errors import StorageFullError, StoredObjectCorruptError, UnavailableError
-from app.store import digest, verified
+from app.store import Packed, verified
 
 FULL: Final = frozenset({errno.ENOSPC, errno.EDQUOT})
 FAILED: Final = (obstore.exceptions.BaseError, OSError)
@@ -41,15 +41,20 @@ class FileStore:
         self._broken: str | None = None
         folder.mkdir(parents=True, exist_ok=True)
 
-    def put(self, _session: Session, key: str, content: bytes) -> str:
+    def pack(self, content: bytes, sha256: str) -> Packed:
+        """Return ``content`` with its digest: it is kept as it is."""
+        return Packed(content, sha256)
+
+    def put(self, _session: Session, key: str, content: bytes | Packed) -> str:
         """Keep ``content`` under ``key`` and return its SHA-256, hexadecimal."""
+        packed = Packed.of(content)
         self.check()
         path = self._folder / key
         aside = path.with_name(f"{path.name}.{secrets.token_hex(4)}.part")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             with aside.open("wb") as file:
-                file.write(content)
+                file.write(packed.content)
                 file.flush()
                 os.fsync(file.fileno())
             aside.replace(path)
@@ -61,7 +66,7 @@ class FileStore:
             self._broken = error.strerror or "I/O error"
             log.exception("store_failed", key=key)
             raise UnavailableError("the store could not keep the object") from error
-        return digest(content)
+        return packed.sha256
 
     def _sync_folders(self, folder: Path) -> None:
         """Make the names of a new file and of new folders above it durable."""
@@ -109,13 +114,18 @@ class BucketStore:
     def __init__(self, store: obstore.store.ObjectStore) -> None:
         self._store = store
 
-    def put(self, _session: Session, key: str, content: bytes) -> str:
+    def pack(self, content: bytes, sha256: str) -> Packed:
+        """Return ``content`` with its digest: it is kept as it is."""
+        return Packed(content, sha256)
+
+    def put(self, _session: Session, key: str, content: bytes | Packed) -> str:
         """Keep ``content`` under ``key`` and return its SHA-256, hexadecimal."""
+        packed = Packed.of(content)
         try:
-            obstore.put(self._store, key, content)
+            obstore.put(self._store, key, packed.content)
         except FAILED as error:
             raise UnavailableError("the store could not keep the object") from error
-        return digest(content)
+        return packed.sha256
 
     def get(self, _session: Session, key: str, sha256: str) -> bytes:
         """Return the bytes under ``key``, verified."""

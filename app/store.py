@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Final, Protocol
 
 import zstandard
@@ -20,6 +21,10 @@ from app.settings import Settings
 
 PART_BYTES: Final = 1 << 22
 ZSTD_LEVEL: Final = 1
+ZSTD_FRAMING: Final = -1000
+"""Level at which zstd does little but copy, for bytes that are compressed already."""
+PROBE_BYTES: Final = 1 << 16
+SHRUNK: Final = 0.95
 
 
 class Blob(Base):
@@ -47,10 +52,28 @@ BLOB_PARTS: Final = Blob.metadata.tables["blob_part"]
 """Without the mapper, which doubles the time that an upload holds the writer's turn."""
 
 
+@dataclass(frozen=True, slots=True)
+class Packed:
+    """An object that is ready to be kept: its bytes, their SHA-256, and the parts that the database keeps, if any."""
+
+    content: bytes
+    sha256: str
+    parts: tuple[bytes, ...] = ()
+
+    @classmethod
+    def of(cls, content: bytes | Packed) -> Packed:
+        """Return ``content`` with its SHA-256, as it is where that is known already."""
+        return content if isinstance(content, Packed) else cls(content, digest(content))
+
+
 class Store(Protocol):
     """Keeps immutable objects; what `put` returns from is durable once the session's transaction is."""
 
-    def put(self, session: Session, key: str, content: bytes) -> str:
+    def pack(self, content: bytes, sha256: str) -> Packed:
+        """Return ``content``, of the digest ``sha256``, ready to be kept: what needs no transaction is done before."""
+        ...
+
+    def put(self, session: Session, key: str, content: bytes | Packed) -> str:
         """Keep ``content`` under ``key`` and return its SHA-256, hexadecimal."""
         ...
 
@@ -86,18 +109,22 @@ def verified(key: str, content: bytes, sha256: str) -> bytes:
 class DatabaseStore:
     """Objects in the database, in the transaction of the rows that name them."""
 
-    def put(self, session: Session, key: str, content: bytes) -> str:
+    def pack(self, content: bytes, sha256: str) -> Packed:
+        """Return ``content`` with its parts, compressed."""
+        view = memoryview(content)
+        starts = range(0, len(content), PART_BYTES)
+        return Packed(content, sha256, tuple(_compressed(view[start : start + PART_BYTES]) for start in starts))
+
+    def put(self, session: Session, key: str, content: bytes | Packed) -> str:
         """Keep ``content`` under ``key`` and return its SHA-256, hexadecimal."""
-        sha256 = digest(content)
+        packed = content if isinstance(content, Packed) else self.pack(content, digest(content))
         connection = session.connection()
         insert = postgresql.insert if connection.dialect.name == "postgresql" else sqlite.insert
-        row = {"key": key, "sha256": sha256, "size_bytes": len(content)}
+        row = {"key": key, "sha256": packed.sha256, "size_bytes": len(packed.content)}
         if connection.execute(insert(BLOBS).on_conflict_do_nothing().returning(BLOBS.c.key), row).first() is not None:
-            pack = zstandard.ZstdCompressor(ZSTD_LEVEL).compress
-            for number, start in enumerate(range(0, len(content), PART_BYTES)):
-                part = {"key": key, "number": number, "content": pack(content[start : start + PART_BYTES])}
-                connection.execute(insert(BLOB_PARTS), part)
-        return sha256
+            for number, part in enumerate(packed.parts):
+                connection.execute(insert(BLOB_PARTS), {"key": key, "number": number, "content": part})
+        return packed.sha256
 
     def get(self, session: Session, key: str, sha256: str) -> bytes:
         """Return the bytes under ``key``, verified."""
@@ -120,6 +147,13 @@ class DatabaseStore:
 
     def check(self) -> None:
         """Nothing of its own can be out of reach: the database is checked by itself."""
+
+
+def _compressed(part: memoryview) -> bytes:
+    """Return a part as zstd; one whose beginning does not shrink is framed without much of a search."""
+    probe = part[:PROBE_BYTES]
+    shrinks = len(part) <= PROBE_BYTES or len(zstandard.compress(probe, ZSTD_LEVEL)) < SHRUNK * len(probe)
+    return zstandard.ZstdCompressor(ZSTD_LEVEL if shrinks else ZSTD_FRAMING).compress(part)
 
 
 def open_store(settings: Settings) -> Store:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Final
 
 from sqlalchemy.orm import Session
 
@@ -26,6 +28,10 @@ from app.settings import Settings
 from app.store import Store
 from magcal_core.telemetry import format_of_bytes
 from magcal_core.telemetry.compression import decompress
+
+PACKED_BESIDE_BYTES: Final = 1 << 20
+"""A larger body is compressed while it is parsed."""
+PACKERS: Final = ThreadPoolExecutor(2, "pack")
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +87,8 @@ class Ingest:
 
     def _commit(self, asked: _Asked, magnetometer: Magnetometer, parsed: Parsed | None) -> Kept:
         with self._database.write() as session:
-            row = self._find(session, asked)
+            # Equal bytes are found by the insert itself; only what a key made has to be looked for.
+            row = None if asked.key is None else self._find(session, asked)
             is_new, job_id = False, None
             if row is None:
                 row, is_new = SessionRepository(session, self._caller).create(
@@ -138,9 +145,11 @@ class Ingest:
     def _parsed(self, magnetometer: Magnetometer, upload: Upload, *, may_be_empty: bool) -> Parsed | None:
         if may_be_empty and not upload.content:
             return None
+        is_large = len(upload.content) > PACKED_BESIDE_BYTES
+        packing = PACKERS.submit(self._store.pack, upload.content, upload.sha256) if is_large else None
         telemetry = SensorReading.of(magnetometer).read(upload.content, upload.media_type, self._settings)
         form = format_of(upload.media_type) or format_of_bytes(decompress(upload.content))
-        return Parsed.of(upload, telemetry, form)
+        return Parsed.of(upload, telemetry, form, self._store, None if packing is None else packing.result())
 
     def _follow_policy(self, session: Session, magnetometer: Magnetometer, row: TelemetrySession) -> str | None:
         if magnetometer.policy is None or row.state != "closed":

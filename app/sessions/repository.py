@@ -23,26 +23,74 @@ from app.sessions.reading import column_names
 from app.sessions.schemas import SessionQuery
 from app.sessions.tables import Chunk, TelemetrySession
 from app.sessions.upload import Upload
-from app.store import Store, columns_key, raw_key
+from app.store import Packed, Store, columns_key, digest, raw_key
 from magcal_core.samples import Samples
 from magcal_core.telemetry import Telemetry, merge_samples
 
 DAY: Final = timedelta(days=1)
+SESSIONS: Final = TelemetrySession.metadata.tables["session"]
+CHUNKS: Final = Chunk.metadata.tables["chunk"]
+"""Without the mapper, for what an upload writes while it holds the writer's turn."""
 
 
 @dataclass(frozen=True, slots=True)
 class Parsed:
-    """An upload with what was read from it: the telemetry, its columnar form and the name of its format."""
+    """An upload with what was read from it, all that is written of it ready before a transaction begins."""
 
-    upload: Upload
+    raw: Packed
+    columns: Packed
+    media_type: str
     telemetry: Telemetry
-    columns: bytes
     format: str
 
     @classmethod
-    def of(cls, upload: Upload, telemetry: Telemetry, form: str) -> Parsed:
-        """Return the upload with its samples, encoded."""
-        return cls(upload, telemetry, encode(telemetry.samples), form)
+    def of(cls, upload: Upload, telemetry: Telemetry, form: str, store: Store, raw: Packed | None = None) -> Parsed:
+        """Return the upload with its samples, encoded; ``raw`` where its bytes have been packed already."""
+        columns = encode(telemetry.samples)
+        return cls(
+            store.pack(upload.content, upload.sha256) if raw is None else raw,
+            store.pack(columns, digest(columns)),
+            upload.media_type[:200],
+            telemetry,
+            form,
+        )
+
+    def added_to(self, row: TelemetrySession | None) -> dict[str, object]:
+        """Return what a session says of its telemetry once this is added to it; ``row`` is None before the first."""
+        samples, quality = self.telemetry.samples, self.telemetry.quality
+        first, last = _instant(samples.t_utc[0]), _instant(samples.t_utc[-1])
+        alone: dict[str, object] = {
+            "data_from": first,
+            "data_until": last,
+            "samples": len(samples),
+            "used_samples": quality.used,
+            "size_bytes": len(self.raw.content),
+            "columns": column_names(samples),
+            "quality": quality.to_dict(),
+        }
+        if row is None or row.data_from is None or row.data_until is None:
+            return alone
+        return {
+            "data_from": min(first, row.data_from),
+            "data_until": max(last, row.data_until),
+            "samples": row.samples + len(samples),
+            "used_samples": row.used_samples + quality.used,
+            "size_bytes": row.size_bytes + len(self.raw.content),
+            "columns": list(dict.fromkeys([*row.columns, *column_names(samples)])),
+            "quality": _summed(row.quality, quality.to_dict()),
+        }
+
+
+NOTHING: Final[dict[str, object]] = {
+    "data_from": None,
+    "data_until": None,
+    "samples": 0,
+    "used_samples": 0,
+    "size_bytes": 0,
+    "columns": [],
+    "quality": {},
+}
+"""What a session says of its telemetry before there is any."""
 
 
 class SessionRepository:
@@ -92,43 +140,43 @@ class SessionRepository:
         self, satellite_id: str, magnetometer_id: str, parsed: Parsed | None, store: Store, *, is_open: bool
     ) -> tuple[TelemetrySession, bool]:
         """Return the session of an upload, and whether it is new: of equal uploads, only one is."""
-        sha256 = None if parsed is None or is_open else parsed.upload.sha256
+        sha256 = None if parsed is None or is_open else parsed.raw.sha256
         values: dict[str, object] = {
             "id": new_id(),
             "satellite_id": satellite_id,
             "magnetometer_id": magnetometer_id,
             "state": "open" if is_open else "closed",
             "sha256": sha256,
-            "size_bytes": 0,
-            "samples": 0,
-            "used_samples": 0,
-            "columns": [],
-            "quality": {},
+            "raw_removed_at": None,
             "created_at": utc_now(),
             "created_by": self.caller.key_id,
             "closed_at": None if is_open else utc_now(),
         }
-        insert = postgresql.insert if self.session.get_bind().dialect.name == "postgresql" else sqlite.insert
-        made = insert(TelemetrySession).values(values).on_conflict_do_nothing().returning(TelemetrySession)
-        row = self.session.scalar(made)
-        if row is None:
+        values |= NOTHING if parsed is None else parsed.added_to(None)
+        connection = self.session.connection()
+        insert = postgresql.insert if connection.dialect.name == "postgresql" else sqlite.insert
+        made = insert(SESSIONS).on_conflict_do_nothing().returning(SESSIONS.c.id)
+        if connection.execute(made, values).first() is None:
             found = self.find_content(satellite_id, magnetometer_id, sha256 or "")
             if found is None:
                 raise ConflictError("the session was made and removed at the same time")
             return found, False
+        row = TelemetrySession(**values)
         if parsed is not None:
-            self._add_chunk(row, 0, parsed, store)
+            self._keep_chunk(row, 0, parsed, store)
         record_event(self.session, self.caller, "session.create", row.id, satellite_id)
         return row, True
 
     def append(self, row: TelemetrySession, parsed: Parsed, store: Store) -> None:
         """Add a chunk to an open session; one that is there already changes nothing."""
         chunks = self.chunks(row.id)
-        if any(chunk.sha256 == parsed.upload.sha256 for chunk in chunks):
+        if any(chunk.sha256 == parsed.raw.sha256 for chunk in chunks):
             return
         if row.state != "open":
             raise ConflictError("the session is closed")
-        self._add_chunk(row, len(chunks), parsed, store)
+        for name, value in parsed.added_to(row).items():
+            setattr(row, name, value)
+        self._keep_chunk(row, len(chunks), parsed, store)
 
     def close(self, row: TelemetrySession) -> None:
         """Close an open session; its identity is then that of its chunks."""
@@ -143,32 +191,19 @@ class SessionRepository:
         row.sha256, row.state, row.closed_at = sha256, "closed", utc_now()
         record_event(self.session, self.caller, "session.close", row.id, row.satellite_id)
 
-    def _add_chunk(self, row: TelemetrySession, sequence: int, parsed: Parsed, store: Store) -> None:
-        samples, quality = parsed.telemetry.samples, parsed.telemetry.quality
-        raw_sha256 = store.put(self.session, raw_key(row.satellite_id, parsed.upload.sha256), parsed.upload.content)
-        columns_sha256 = store.put(self.session, columns_key(row.id, sequence), parsed.columns)
-        self.session.add(
-            Chunk(
-                session_id=row.id,
-                sequence=sequence,
-                sha256=raw_sha256,
-                size_bytes=len(parsed.upload.content),
-                format=parsed.format,
-                media_type=parsed.upload.media_type[:200],
-                samples=len(samples),
-                columns_sha256=columns_sha256,
-                created_at=utc_now(),
-            )
-        )
-        first, last = _instant(samples.t_utc[0]), _instant(samples.t_utc[-1])
-        row.data_from = first if row.data_from is None else min(first, row.data_from)
-        row.data_until = last if row.data_until is None else max(last, row.data_until)
-        row.samples += len(samples)
-        row.used_samples += quality.used
-        row.size_bytes += len(parsed.upload.content)
-        row.columns = list(dict.fromkeys([*row.columns, *column_names(samples)]))
-        row.quality = quality.to_dict() if sequence == 0 else _summed(row.quality, quality.to_dict())
-        self.session.flush()
+    def _keep_chunk(self, row: TelemetrySession, sequence: int, parsed: Parsed, store: Store) -> None:
+        values = {
+            "session_id": row.id,
+            "sequence": sequence,
+            "sha256": store.put(self.session, raw_key(row.satellite_id, parsed.raw.sha256), parsed.raw),
+            "size_bytes": len(parsed.raw.content),
+            "format": parsed.format,
+            "media_type": parsed.media_type,
+            "samples": len(parsed.telemetry.samples),
+            "columns_sha256": store.put(self.session, columns_key(row.id, sequence), parsed.columns),
+            "created_at": utc_now(),
+        }
+        self.session.connection().execute(CHUNKS.insert(), values)
 
     def chunks(self, session_id: str) -> Sequence[Chunk]:
         """Return the chunks of a session in the order of their arrival."""

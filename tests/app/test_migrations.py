@@ -99,7 +99,7 @@ def fill(database: Database, settings: Settings) -> None:
         session.flush()
         OrbitRepository(session, SYSTEM, "dekart").add(parse_message(tle_text().encode(), "text/plain"))
         sessions = SessionRepository(session, SYSTEM)
-        row, _ = sessions.create("dekart", "m", Parsed.of(upload, telemetry, "csv"), store, is_open=False)
+        row, _ = sessions.create("dekart", "m", Parsed.of(upload, telemetry, "csv", store), store, is_open=False)
         queue = EmbeddedQueue() if database.is_sqlite else ClusterQueue(database)
         body = CalibrationBody(kind="calibration", session_ids=[row.id])
         jobs = [JobRepository(session, SYSTEM).submit(body, queue) for _ in range(3)]
