@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 import pyarrow as pa
 
-from magcal_core.calibration.result import ResidualTable
+from magcal_core.calibration.result import ResidualTable, StoredReadings
 from magcal_core.errors import TelemetryFormatError
 from magcal_core.samples import Floats, Times
 
@@ -34,15 +34,14 @@ def residuals_of(table: pa.Table) -> ResidualTable:
         raise TelemetryFormatError(f"this is not a residual table: no column {lacks}")
     n = table.num_rows
     residual = _floats(table, SCALAR[0]) if SCALAR[0] in names else _vectors(table, VECTOR)
+    corrected = _vectors(table, CORRECTED) if names.issuperset(CORRECTED) else None
     return ResidualTable(
         t_utc=_times(table.column("time")),
-        corrected_nt=_floats(table, "corrected_nt"),
-        raw_nt=_floats(table, "raw_nt"),
         model_nt=_floats(table, "model_nt"),
         residual_nt=residual,
         weight=_floats(table, "weight"),
         flags=table.column("flags").to_numpy().astype(np.uint16) if "flags" in names else np.zeros(n, np.uint16),
-        corrected_base_nt=_vectors(table, CORRECTED) if names.issuperset(CORRECTED) else None,
+        readings=StoredReadings(_floats(table, "raw_nt"), _floats(table, "corrected_nt"), corrected),
         r_itrf_km=_vectors(table, POSITION) if names.issuperset(POSITION) else None,
     )
 

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from magcal_core.calibration import ESTIMATORS
 from magcal_core.calibration.bootstrap import bootstrap
-from magcal_core.calibration.corrections import lengths
 from magcal_core.calibration.error_budget import ReferenceSource, error_budget
-from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations, corrected_nt
+from magcal_core.calibration.fit import Estimator, Fit, FitSettings, FittedReadings, Observations
 from magcal_core.calibration.flags import jumps, saturated, spikes
 from magcal_core.calibration.judgement import Circumstances, Judgement, extras_of, judgement_of
 from magcal_core.calibration.mounting import mounting_of
@@ -349,40 +348,43 @@ def _warnings(referenced: Referenced, estimate: _Estimate, judgement: Judgement)
 
 def _residual_table(samples: Samples, estimate: _Estimate) -> ResidualTable:
     """Return the residual of every sample, the left-out ones included where they have a reading and a reference."""
-    n = len(samples)
-    is_vector = estimate.estimator.is_vector
-    everything = Observations(
-        np.zeros(n), samples.h_nt, np.full(n, np.nan), samples.b_ref_base_nt, np.ones(n), _columns(samples, estimate)
-    )
-    corrected = corrected_nt(everything, estimate.fit.parameters)
-    model_nt = np.full(n, np.nan)
-    if samples.b_ref_magnitude_nt is not None:
-        model_nt = samples.b_ref_magnitude_nt.copy()
-    model_nt[estimate.usable] = estimate.observations.b_nt
-    length = lengths(corrected)
-    residual = length - model_nt
-    if is_vector and samples.b_ref_base_nt is not None:
-        base = samples.b_ref_base_nt.copy()
-        base[estimate.usable] = estimate.observations.require_vector()
-        residual = corrected - base
-    weight = np.zeros(n)
-    weight[estimate.usable] = estimate.fit.weights
-    raw_nt = lengths(samples.h_nt)
+    usable, observations, fit = estimate.usable, estimate.observations, estimate.fit
     flags = _flagged(samples, estimate)
-    return ResidualTable(samples.t_utc, length, raw_nt, model_nt, residual, weight, flags, corrected, samples.r_itrf_km)
+    readings = FittedReadings(samples.h_nt, _columns(samples, estimate), fit.parameters)
+    model_nt = _placed(observations.b_nt, usable, samples.b_ref_magnitude_nt)
+    if estimate.estimator.is_vector and samples.b_ref_base_nt is not None:
+        residual = readings.corrected_base_nt
+        residual -= _placed(observations.require_vector(), usable, samples.b_ref_base_nt)
+    else:
+        residual = readings.corrected_nt
+        residual -= model_nt
+    weight = _placed(fit.weights, usable, 0.0)
+    return ResidualTable(samples.t_utc, model_nt, residual, weight, flags, readings, samples.r_itrf_km)
+
+
+def _placed(values: Floats, usable: NDArray[np.bool_], others: Floats | float | None) -> Floats:
+    """Return ``values`` of the ``usable`` samples among the ``others``; the values themselves where all are usable."""
+    if len(values) == len(usable):
+        return values
+    filled = np.empty((len(usable), *values.shape[1:]))
+    filled[:] = np.nan if others is None else others
+    filled[usable] = values
+    return filled
 
 
 def _flagged(samples: Samples, estimate: _Estimate) -> NDArray[np.uint16]:
     """Return the samples' flags with the spikes, jumps and saturation that the fit shows."""
-    at, n = np.flatnonzero(estimate.usable), len(samples)
+    is_whole = bool(estimate.usable.all())
     flagged = samples
     for flag, found in (
         (SampleFlag.SPIKE, spikes(estimate.fit.residuals_nt)),
         (SampleFlag.JUMP, jumps(estimate.fit.residuals_nt)),
-        (SampleFlag.SATURATED, saturated(samples.h_nt[at])),
+        (SampleFlag.SATURATED, saturated(estimate.observations.h_nt)),
     ):
-        where = np.zeros(n, dtype=bool)
-        where[at[found]] = True
+        where = found
+        if not is_whole:
+            where = np.zeros(len(samples), dtype=bool)
+            where[estimate.usable] = found
         flagged = flagged.flagged(flag, where)
     return flagged.flags
 

@@ -11,7 +11,7 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.calibration.corrections import correct, lengths
+from magcal_core.calibration.corrections import correct, corrected_lengths, lengths
 from magcal_core.calibration.result import Candidate, Parameters
 from magcal_core.errors import OptionError, OrbitMissingError, TelemetryValueError, TooFewSamplesError, UnitsError
 from magcal_core.samples import Samples, selects_all
@@ -313,19 +313,56 @@ class Estimator(Protocol):
 
 def corrected_nt(observations: Observations, parameters: Parameters) -> Floats:
     """Return T^-1 (h - b - sum of regressor terms), shape (n, 3), nT, base frame."""
-    matrix = matrix_of_parameters(parameters.scale, np.deg2rad(parameters.nonorthogonality_deg))
-    reading = observations.h_nt
+    return FittedReadings(observations.h_nt, observations.regressors, parameters).corrected_base_nt
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedReadings:
+    """Raw readings, shape (n, 3), nT, and regressors, with what ``parameters`` make of them when it is asked for."""
+
+    h_nt: Floats
+    regressors: Mapping[str, Floats]
+    parameters: Parameters
+
+    @property
+    def raw_nt(self) -> Floats:
+        """Magnitude of the raw reading, shape (n,), nT."""
+        return lengths(self.h_nt)
+
+    @property
+    def corrected_nt(self) -> Floats:
+        """Magnitude of the corrected reading, shape (n,), nT."""
+        reading = readings_without(self.regressors, self.h_nt, self.parameters)
+        return corrected_lengths(reading, self.parameters.bias_nt, _lower(self.parameters))
+
+    @property
+    def corrected_base_nt(self) -> Floats:
+        """Corrected reading T^-1 (h - b - sum of regressor terms), shape (n, 3), base frame, nT."""
+        reading = readings_without(self.regressors, self.h_nt, self.parameters)
+        return correct(reading, self.parameters.bias_nt, _lower(self.parameters))
+
+
+def _lower(parameters: Parameters) -> Floats:
+    return inverse_lower(matrix_of_parameters(parameters.scale, np.deg2rad(parameters.nonorthogonality_deg)))
+
+
+def readings_without(regressors: Mapping[str, Floats], h_nt: Floats, parameters: Parameters) -> Floats:
+    """Return ``h_nt``, shape (n, 3), nT, less what ``parameters`` say that the ``regressors`` add; itself for none."""
     for name, coefficients in parameters.regressors.items():
-        reading = reading - observations.regressors[name][:, None] * coefficients
-    return correct(reading, parameters.bias_nt, inverse_lower(matrix))
+        h_nt = h_nt - regressors[name][:, None] * coefficients
+    return h_nt
 
 
 def residuals_nt(observations: Observations, parameters: Parameters, is_vector: bool) -> Floats:
     """Return corrected - model, shape (n, 3), or |corrected| - |model|, shape (n,), nT."""
-    corrected = corrected_nt(observations, parameters)
-    if is_vector:
-        return corrected - observations.require_vector()
-    return lengths(corrected) - observations.b_nt
+    readings = FittedReadings(observations.h_nt, observations.regressors, parameters)
+    found, model = (
+        (readings.corrected_base_nt, observations.require_vector())
+        if is_vector
+        else (readings.corrected_nt, observations.b_nt)
+    )
+    found -= model
+    return found
 
 
 def block_starts(n: int, blocks: int = 256) -> NDArray[np.intp]:

@@ -8,13 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.calibration.corrections import lengths
-from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations, corrected_nt
+from magcal_core.calibration.corrections import correct, lengths, statistics
+from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations, readings_without
+from magcal_core.calibration.kernels import residuals
 from magcal_core.calibration.motion import advice, motion_words, vector_weak_words, weak_words
 from magcal_core.calibration.observability import (
+    ENOUGH,
+    ScalarInformation,
+    SphereMotion,
     condition_number,
     scalar_information,
-    sphere_coverage,
+    sphere_motion,
     vector_information,
 )
 from magcal_core.calibration.reference_errors import ReferenceShift
@@ -23,7 +27,7 @@ from magcal_core.calibration.selection import held_out_residuals_nt, rms_nt
 from magcal_core.calibration.uncertainty import HonestCovariance, honest_covariance
 from magcal_core.calibration.verdict import Evidence, judge
 from magcal_core.calibration.weights import robust_sigma
-from magcal_core.sensor import matrix_of_parameters
+from magcal_core.sensor import inverse_lower, matrix_of_parameters
 
 Floats = NDArray[np.float64]
 
@@ -73,7 +77,7 @@ def judgement_of(
     held_out = held_out_residuals_nt(estimator, still, settings, fit)
     unseen = None if held_out is None else rms_nt(held_out, fit.weights)
     used = fit.weights > 0
-    observability, directions = observability_of(observations.take(used), fit, estimator.is_vector)
+    observability, motion = observability_of(observations, fit, estimator.is_vector)
     lost = circumstances.left_out + int(np.count_nonzero(~used))
     evidence = Evidence(
         index=observability.index,
@@ -101,9 +105,9 @@ def judgement_of(
         after,
         unseen,
         observability,
-        advice(observability.index, observability.sphere_coverage, directions, observations.b_nt),
+        advice(observability.index, motion, observations.b_nt),
         judge(evidence),
-        motion_words(directions),
+        motion_words(motion),
     )
 
 
@@ -119,7 +123,9 @@ def _with_reference(covariance: Floats, shifts: Sequence[ReferenceShift]) -> Flo
 def _variation(observations: Observations, fit: Fit) -> float:
     """Return the coefficient of variation of the corrected |B|, noise and all; of the reference's for a vector fit."""
     length = observations.b_nt + fit.residuals_nt if fit.residuals_nt.ndim == 1 else observations.b_nt
-    return float(length.std() / length.mean())
+    mean = float(length.mean())
+    away = length - mean
+    return float(np.sqrt(away @ away / away.size)) / mean
 
 
 def _misaligned_deg(fit: Fit) -> float:
@@ -150,47 +156,59 @@ def statistics_of(
     if is_vector:
         raw = observations.h_nt - observations.require_vector()
     else:
-        raw = lengths(observations.h_nt) - observations.b_nt
-    used = fit.weights > 0
-    b_nt = observations.b_nt[used]
-    return residual_statistics(raw[used], b_nt), residual_statistics(fit.residuals_nt[used], b_nt)
+        raw = lengths(observations.h_nt)
+        raw -= observations.b_nt
+    before = residual_statistics(raw, observations.b_nt, fit.weights)
+    return before, residual_statistics(fit.residuals_nt, observations.b_nt, fit.weights)
 
 
-def residual_statistics(residuals: Floats, b_nt: Floats) -> ResidualStatistics:
-    """Return the statistics of ``residuals``, shape (n,) or (n, 3), nT, over all components."""
-    relative = np.abs(residuals) / (b_nt[:, None] if residuals.ndim == 2 else b_nt)
+def residual_statistics(residuals_nt: Floats, b_nt: Floats, weights: Floats) -> ResidualStatistics:
+    """Return the statistics of residuals, shape (n,) or (n, 3), nT, over all components of samples that have weight."""
+    table = np.require(residuals_nt.reshape(len(b_nt), -1), np.float64, ["C", "W"])
+    mean, spread, largest, share = statistics(table, b_nt, np.require(weights, np.float64, ["C", "W"]))
     return ResidualStatistics(
-        mean_nt=float(residuals.mean()),
-        std_nt=float(residuals.std()),
-        rms_nt=float(np.sqrt(np.mean(residuals**2))),
-        max_abs_nt=float(np.abs(residuals).max()),
-        max_percent=float(100.0 * relative.max()),
+        mean, float(np.sqrt(spread)), float(np.hypot(mean, np.sqrt(spread))), largest, 100 * share
     )
 
 
-def observability_of(observations: Observations, fit: Fit, is_vector: bool) -> tuple[Observability, Floats]:
-    """Return how well the samples determine the parameters, and the directions of the field in the sensor's frame."""
-    parameters = fit.parameters
-    matrix = matrix_of_parameters(parameters.scale, np.deg2rad(parameters.nonorthogonality_deg))
+def observability_of(observations: Observations, fit: Fit, is_vector: bool) -> tuple[Observability, SphereMotion]:
+    """Return how well the samples that have weight determine the parameters, and how the field moved over them."""
     normal = fit.blocks.normals.sum(axis=0)
     inverse = np.linalg.pinv(fit.blocks.to_parameters)
     condition = condition_number((inverse.T @ normal @ inverse)[:9, :9])
     if is_vector:
-        b_nt = observations.require_vector()
-        directions = b_nt / observations.b_nt[:, None]
-        noise_nt = robust_sigma(fit.residuals_nt[fit.weights > 0])
-        index, spreads, axes = vector_information(b_nt, noise_nt)
+        used = fit.weights > 0
+        base_nt = observations.require_vector()
+        motion = sphere_motion(base_nt, fit.weights, np.zeros(3), np.eye(3))
+        noise_nt = robust_sigma(_with_weight(fit.residuals_nt, used))
+        index, spreads, axes = vector_information(_with_weight(base_nt, used), noise_nt)
         words = vector_weak_words(index, spreads, axes)
     else:
-        x_nt = corrected_nt(observations, parameters)
-        length = lengths(x_nt)
-        directions = x_nt / length[:, None]
-        gain = lengths(directions @ np.linalg.inv(matrix))
-        information = scalar_information(x_nt, matrix, robust_sigma((length - observations.b_nt) / gain))
+        motion, information = _scalar_information(observations, fit)
         index = information.index
-        words = weak_words(information, directions)
-    coverage = sphere_coverage(directions)
-    return Observability(index, condition, coverage, words), directions
+        words = weak_words(information, motion)
+    return Observability(index, condition, motion.coverage, words), motion
+
+
+def _with_weight(column: Floats, used: NDArray[np.bool_]) -> Floats:
+    """Return the rows of ``column`` that are ``used``; where all are, the column itself."""
+    return column if used.all() else column[used]
+
+
+def _scalar_information(observations: Observations, fit: Fit) -> tuple[SphereMotion, ScalarInformation]:
+    """Return how the field moved over the samples that have weight, and what they determine; nothing is kept of all."""
+    parameters = fit.parameters
+    matrix = matrix_of_parameters(parameters.scale, np.deg2rad(parameters.nonorthogonality_deg))
+    reading = readings_without(observations.regressors, observations.h_nt, parameters)
+    lower, used = inverse_lower(matrix), fit.weights > 0
+    motion = sphere_motion(reading, fit.weights, parameters.bias_nt, lower)
+    geometric_nt, none = np.empty(len(used)), np.zeros((len(used), 0))
+    theta = np.concatenate([lower[np.tril_indices(3)], lower @ parameters.bias_nt])
+    residuals(np.require(reading, np.float64, ["C", "W"]), observations.b_nt, none, none, theta, 0.0, geometric_nt)
+    noise_nt = robust_sigma(_with_weight(geometric_nt, used))
+    step = max(1, int(np.count_nonzero(used)) // ENOUGH)
+    few = reading[::step] if used.all() else reading[np.flatnonzero(used)[::step]]
+    return motion, scalar_information(correct(few, parameters.bias_nt, lower), matrix, noise_nt)
 
 
 def extras_of(judgement: Judgement, parameters: Parameters, samples: int) -> Mapping[str, object]:

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.calibration.observability import SHORT_NAMES, WEAK_BELOW, ScalarInformation, taking_part
+from magcal_core.calibration.observability import SHORT_NAMES, WEAK_BELOW, ScalarInformation, SphereMotion, taking_part
 
 Floats = NDArray[np.float64]
 
@@ -15,30 +15,28 @@ _FLAT: Final = 0.08
 """Spread of the field's direction, root mean square, below which it stands still along an axis: 5 deg."""
 
 
-def motion_words(directions: Floats) -> str:
-    """Return how the field moved in the sensor's frame; ``directions``: unit vectors, shape (n, 3)."""
-    centre = directions.mean(axis=0)
-    values, axes = np.linalg.eigh((directions - centre).T @ (directions - centre) / len(directions))
-    spreads = np.sqrt(np.maximum(values, 0.0))
+def motion_words(motion: SphereMotion) -> str:
+    """Return how the field moved in the sensor's frame."""
+    spreads, axes = motion.spreads, motion.axes
     if spreads[2] < _FLAT:
         return "the field hardly turned in the sensor's frame"
     axis = axes[:, 0] * (np.sign(axes[np.argmax(np.abs(axes[:, 0])), 0]) or 1.0)
     named = f"({', '.join(f'{x:.2f}' for x in axis)})"
     if spreads[0] < _FLAT:
-        along = abs(float(centre @ axis))
+        along = abs(float(motion.centre @ axis))
         kind = "in a plane" if along < 2 * _FLAT else "on a cone"
         return f"the field moved {kind} about the sensor direction {named}: the satellite turned about one axis only"
     return f"the field moved least along the sensor direction {named}"
 
 
-def weak_words(information: ScalarInformation, directions: Floats) -> tuple[str, ...]:
+def weak_words(information: ScalarInformation, motion: SphereMotion) -> tuple[str, ...]:
     """Return each weak direction of a scalar calibration in words."""
-    motion = motion_words(directions)
+    moved = motion_words(motion)
     words = []
     for direction, ratio in zip(information.weak, information.ratios, strict=True):
         names = [SHORT_NAMES[i] for i in taking_part(direction[None, :])]
         told = f"{' and '.join(names)} cannot be told apart" if len(names) > 1 else f"{names[0]} is poorly determined"
-        words.append(f"{told} (signal {ratio:.1f} times the noise): {motion}")
+        words.append(f"{told} (signal {ratio:.1f} times the noise): {moved}")
     return tuple(words)
 
 
@@ -51,17 +49,17 @@ def vector_weak_words(index: float, spreads: Floats, directions: Floats) -> tupl
     return (f"the field hardly varied along {named} of the base frame: {spreads[0]:.1%} of its size",)
 
 
-def advice(index: float, coverage: float, directions: Floats, magnitudes_nt: Floats) -> tuple[str, ...]:
+def advice(index: float, motion: SphereMotion, magnitudes_nt: Floats) -> tuple[str, ...]:
     """Return what would help a weak calibration most; empty where nothing is lacking."""
     found = []
-    centre = directions.mean(axis=0)
-    values, axes = np.linalg.eigh((directions - centre).T @ (directions - centre) / len(directions))
-    if np.sqrt(max(values[0], 0.0)) < 0.25:
-        axis = axes[:, 1]
+    if motion.spreads[0] < 0.25:
+        axis = motion.axes[:, 1]
         named = ", ".join(f"{x:.2f}" for x in axis)
         found.append(f"turn the satellite about the sensor direction ({named}) too, so that the field leaves its plane")
-    if coverage < 0.5:
-        found.append(f"cover more of the sphere: the field has been near {coverage:.0%} of the directions so far")
+    if motion.coverage < 0.5:
+        found.append(
+            f"cover more of the sphere: the field has been near {motion.coverage:.0%} of the directions so far"
+        )
     variation = float(magnitudes_nt.std() / magnitudes_nt.mean())
     if index < WEAK_BELOW and variation < 0.1:
         found.append(f"take in high and low latitudes: |B| varied by {variation:.0%} only")

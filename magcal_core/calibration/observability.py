@@ -29,6 +29,9 @@ SHORT_NAMES: Final = ("b1", "b2", "b3", "k1", "k2", "k3", "e1", "e2", "e3")
 
 _QUADRATIC: Final = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 _ROOT2: Final = np.sqrt(2.0)
+_REACH_DEG: Final = 15.0
+_CELLS_PER_UNIT: Final = 50.0
+_CELLS: Final = 101
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,41 +161,112 @@ def condition_number(normal: Floats) -> float:
     return float(np.sqrt(values[-1] / max(values[0], 1e-16 * values[-1])))
 
 
-def sphere_coverage(directions: Floats, reach_deg: float = 15.0) -> float:
-    """Return the share of the sphere within ``reach_deg`` of one of ``directions``, unit vectors, shape (n, 3)."""
+@dataclass(frozen=True, slots=True, eq=False)
+class SphereMotion:
+    """Where the directions of the field went, unit vectors in the sensor's frame.
+
+    Attributes
+    ----------
+    centre : shape (3,)
+        Their mean.
+    spreads : shape (3,)
+        Their root mean square distance from it along the principal axes, ascending.
+    axes : shape (3, 3)
+        The principal axes, as columns.
+    coverage : float
+        Share of the sphere within `_REACH_DEG` of one of them.
+    """
+
+    centre: Floats
+    spreads: Floats
+    axes: Floats
+    coverage: float
+
+
+def sphere_motion(vectors: Floats, weights: Floats, bias: Floats, lower: Floats) -> SphereMotion:
+    """Return where ``lower`` (v - ``bias``) pointed, v those of ``vectors``, shape (n, 3), that have weight."""
+    cells = np.empty((min(len(vectors), _CELLS**3), 3))
+    origin, total, products = np.zeros(3), np.zeros(3), np.zeros((3, 3))
+    v, w, b, m = (np.require(each, np.float64, ["C", "W"]) for each in (vectors, weights, bias, lower))
+    seen = np.zeros(_CELLS**3, np.bool_)
+    count, marked = _sweep(v, w, b, m, seen, cells, origin, total, products)
+    mean = total / max(count, 1)
+    values, axes = np.linalg.eigh(products / max(count, 1) - np.outer(mean, mean))
+    return SphereMotion(origin + mean, np.sqrt(np.maximum(values, 0.0)), axes, _share_near(cells[:marked]))
+
+
+def sphere_coverage(directions: Floats) -> float:
+    """Return the share of the sphere within `_REACH_DEG` of one of ``directions``, unit vectors, shape (n, 3)."""
+    return sphere_motion(directions, np.ones(len(directions)), np.zeros(3), np.eye(3)).coverage
+
+
+def _share_near(cells: Floats) -> float:
     turns = np.arange(600) + 0.5
     z = 1.0 - 2.0 * turns / 600
     angle = turns * np.pi * (1.0 + np.sqrt(5.0))
     radius = np.sqrt(1.0 - z**2)
     grid = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), z])
     near = np.zeros(600, dtype=bool)
-    _mark_near(grid, np.require(directions, np.float64, ["C", "W"]), float(np.cos(np.deg2rad(reach_deg))), near)
+    _mark_near(grid, cells, float(np.cos(np.deg2rad(_REACH_DEG))), near)
     return float(near.mean())
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sweep(  # noqa: PLR0917
+    vectors: Floats,
+    weights: Floats,
+    bias: Floats,
+    lower: Floats,
+    seen: NDArray[np.bool_],
+    cells: Floats,
+    origin: Floats,
+    total: Floats,
+    products: Floats,
+) -> tuple[int, int]:  # pragma: no cover - compiled
+    """Return the numbers of directions and of ``cells``; ``total`` and ``products`` are taken about ``origin``.
+
+    Directions a degree apart cover the same: one of each is enough, and a million cost as little as a thousand.
+    """
+    count, marked = 0, 0
+    for i in range(len(vectors)):
+        d1, d2, d3 = vectors[i, 0] - bias[0], vectors[i, 1] - bias[1], vectors[i, 2] - bias[2]
+        x = lower[0, 0] * d1
+        y = lower[1, 0] * d1 + lower[1, 1] * d2
+        z = lower[2, 0] * d1 + lower[2, 1] * d2 + lower[2, 2] * d3
+        size = math.sqrt(x * x + y * y + z * z)
+        if not (weights[i] > 0.0 and 0.0 < size < np.inf):
+            continue
+        x, y, z = x / size, y / size, z / size
+        if not count:
+            origin[0], origin[1], origin[2] = x, y, z
+        count += 1
+        d1, d2, d3 = x - origin[0], y - origin[1], z - origin[2]
+        total[0] += d1
+        total[1] += d2
+        total[2] += d3
+        products[0, 0] += d1 * d1
+        products[1, 0] += d2 * d1
+        products[1, 1] += d2 * d2
+        products[2, 0] += d3 * d1
+        products[2, 1] += d3 * d2
+        products[2, 2] += d3 * d3
+        x, y, z = np.rint(x * _CELLS_PER_UNIT), np.rint(y * _CELLS_PER_UNIT), np.rint(z * _CELLS_PER_UNIT)
+        cell = int(((x + _CELLS_PER_UNIT) * _CELLS + y + _CELLS_PER_UNIT) * _CELLS + z + _CELLS_PER_UNIT)
+        if not seen[cell]:
+            seen[cell] = True
+            size = max(math.sqrt(x * x + y * y + z * z), 1e-12)
+            cells[marked, 0], cells[marked, 1], cells[marked, 2] = x / size, y / size, z / size
+            marked += 1
+    return count, marked
 
 
 @njit(cache=True, nogil=True)
 def _mark_near(
-    grid: Floats, directions: Floats, cosine: float, near: NDArray[np.bool_]
+    grid: Floats, cells: Floats, cosine: float, near: NDArray[np.bool_]
 ) -> None:  # pragma: no cover - compiled
-    """Mark the ``grid`` vectors that have one of ``directions`` within the angle of this ``cosine``.
-
-    Directions a degree apart cover the same: one of each is enough, and a million cost as little as a thousand.
-    """
-    seen = np.zeros(101**3, np.bool_)
-    cells = np.empty((min(len(directions), 101**3), 3))
-    count = 0
-    for i in range(len(directions)):
-        x, y, z = np.rint(directions[i, 0] * 50.0), np.rint(directions[i, 1] * 50.0), np.rint(directions[i, 2] * 50.0)
-        if not (abs(x) <= 50.0 and abs(y) <= 50.0 and abs(z) <= 50.0):
-            continue
-        cell = int(((x + 50.0) * 101.0 + y + 50.0) * 101.0 + z + 50.0)
-        if not seen[cell]:
-            seen[cell] = True
-            size = max(math.sqrt(x * x + y * y + z * z), 1e-12)
-            cells[count, 0], cells[count, 1], cells[count, 2] = x / size, y / size, z / size
-            count += 1
+    """Mark the ``grid`` vectors that have one of ``cells`` within the angle of this ``cosine``."""
     for k in range(len(grid)):
-        for i in range(count):
+        for i in range(len(cells)):
             if grid[k, 0] * cells[i, 0] + grid[k, 1] * cells[i, 1] + grid[k, 2] * cells[i, 2] >= cosine:
                 near[k] = True
                 break

@@ -121,8 +121,8 @@ def _trial(
 def _is_better(observations: Observations, fit: Fit, held_out: Floats, tried: Floats) -> bool:
     used = fit.weights > 0
     before, after = rms_nt(held_out, fit.weights), rms_nt(tried, fit.weights)
-    parts = [fold[used[fold]] for fold in folds_of(observations.t_s)]
-    won = [bool(np.mean(tried[part] ** 2) < np.mean(held_out[part] ** 2)) for part in parts if part.size]
+    parts = [(tried[fold][used[fold]], held_out[fold][used[fold]]) for fold in folds_of(observations.t_s)]
+    won = [bool(np.mean(new**2) < np.mean(old**2)) for new, old in parts if old.size]
     return after < (1.0 - GAIN) * before and 2 * sum(won) > len(won)
 
 
@@ -139,7 +139,7 @@ def _ranked(
     zero = {name: fit.parameters.regressors.get(name, np.zeros(3)) for name in order}
     at = Parameters(fit.parameters.bias_nt, fit.parameters.scale, fit.parameters.nonorthogonality_deg, None, zero)
     weighed = replace(_standardised(thinned.with_regressors(order), chosen), weights=fit.weights[::step])
-    starts = np.array([fold[0] for fold in folds_of(thinned.t_s)])
+    starts = np.array([fold.start for fold in folds_of(thinned.t_s)])
     folds = own_equations(weighed, at, starts, is_vector=estimator.is_vector)
     known = 9 + 3 * len(chosen)
     scores = {}

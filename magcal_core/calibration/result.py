@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,6 +150,34 @@ class Observability:
         }
 
 
+class Readings(Protocol):
+    """Raw and corrected readings of every sample of a residual table: kept, or computed whenever they are asked for."""
+
+    @property
+    def raw_nt(self) -> Floats:
+        """Magnitude of the raw reading, shape (n,), nT."""
+        ...
+
+    @property
+    def corrected_nt(self) -> Floats:
+        """Magnitude of the corrected reading, shape (n,), nT."""
+        ...
+
+    @property
+    def corrected_base_nt(self) -> Floats | None:
+        """Corrected reading T^-1 (h - b), shape (n, 3), base frame, nT; None where only magnitudes are known."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredReadings:
+    """`Readings` that were read from a file."""
+
+    raw_nt: Floats
+    corrected_nt: Floats
+    corrected_base_nt: Floats | None = None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualTable:
     """Residual of every sample of a calibration, the left-out ones included, in time order.
@@ -156,29 +185,42 @@ class ResidualTable:
     Attributes
     ----------
     t_utc : datetime64[ns], shape (n,)
-    corrected_nt, raw_nt, model_nt : shape (n,)
-        Magnitudes of the corrected reading, the raw reading and the reference field, nT; NaN where there is none.
+    model_nt : shape (n,)
+        Magnitude of the reference field, nT; NaN where there is none.
     residual_nt : shape (n,) or (n, 3)
         |corrected| - |model| for scalar methods, corrected - model in the base frame for vector methods.
     weight : shape (n,)
         Weight of the sample in the fit, 0 where it was left out.
     flags : shape (n,)
         `SampleFlag` bits.
-    corrected_base_nt : shape (n, 3), optional
-        Corrected reading T^-1 (h - b), base frame, nT: where on the body sphere a residual arose.
+    readings : Readings
+        Raw and corrected readings: where on the body sphere a residual arose.
     r_itrf_km : shape (n, 3), optional
         Position, ITRF, km: where over the Earth a residual arose.
     """
 
     t_utc: NDArray[np.datetime64]
-    corrected_nt: Floats
-    raw_nt: Floats
     model_nt: Floats
     residual_nt: Floats
     weight: Floats
     flags: NDArray[np.uint16]
-    corrected_base_nt: Floats | None = None
+    readings: Readings
     r_itrf_km: Floats | None = None
+
+    @property
+    def raw_nt(self) -> Floats:
+        """Magnitude of the raw reading, shape (n,), nT."""
+        return self.readings.raw_nt
+
+    @property
+    def corrected_nt(self) -> Floats:
+        """Magnitude of the corrected reading, shape (n,), nT."""
+        return self.readings.corrected_nt
+
+    @property
+    def corrected_base_nt(self) -> Floats | None:
+        """Corrected reading, shape (n, 3), base frame, nT; None where only magnitudes are known."""
+        return self.readings.corrected_base_nt
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -17,12 +19,15 @@ FOLDS: Final = 6
 """Contiguous blocks of time, equally long, each left out in turn."""
 
 
-def folds_of(t_s: Floats) -> list[NDArray[np.intp]]:
-    """Return the samples of each block of time; blocks that a gap leaves empty are dropped."""
-    span = max(float(t_s[-1] - t_s[0]), 1e-9)
-    block = np.minimum((FOLDS * (t_s - t_s[0]) / span).astype(np.intp), FOLDS - 1)
-    folds = [np.flatnonzero(block == k) for k in range(FOLDS)]
-    return [fold for fold in folds if fold.size]
+def folds_of(t_s: Floats) -> list[slice]:
+    """Return the samples of each block of time, ``t_s`` ascending; blocks that a gap leaves empty are dropped."""
+    first, span = float(t_s[0]), max(float(t_s[-1] - t_s[0]), 1e-9)
+
+    def block(i: int) -> int:
+        return min(int(FOLDS * (float(t_s[i]) - first) / span), FOLDS - 1)
+
+    edges = [bisect_left(range(len(t_s)), k, key=block) for k in range(FOLDS)] + [len(t_s)]
+    return [slice(i, j) for i, j in pairwise(edges) if i < j]
 
 
 def held_out_residuals_nt(
@@ -34,20 +39,21 @@ def held_out_residuals_nt(
 
     None where the rest of the data does not determine the parameters once a block is left out.
     """
-    parts = []
+    # Zero weight equals absent: nothing is copied but the weights.
+    weights, parts = observations.weights.copy(), []
     for fold in folds_of(observations.t_s):
-        # Zero weight equals absent: nothing is copied but the weights.
-        weights = observations.weights.copy()
         weights[fold] = 0.0
         try:
             parameters = estimator.refit(replace(observations, weights=weights), settings, near)
         except EstimationError:
             return None
+        weights[fold] = observations.weights[fold]
         parts.append(residuals_nt(observations.take(fold), parameters, estimator.is_vector))
     return np.concatenate(parts)
 
 
 def rms_nt(residuals: Floats, weights: Floats) -> float:
     """Return the root mean square, over all components, of the residuals of samples that have weight."""
-    used = residuals[weights > 0]
-    return float(np.sqrt(np.mean(used**2)))
+    used = weights > 0
+    flat = (residuals if used.all() else residuals[used]).ravel()
+    return float(np.sqrt(flat @ flat / flat.size))

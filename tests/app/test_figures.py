@@ -16,7 +16,7 @@ from plotly.graph_objects import Figure
 from app import figures
 from app.figures.style import time_line
 from app.records import ParameterSetRecord
-from magcal_core.calibration.result import ResidualTable
+from magcal_core.calibration.result import ResidualTable, StoredReadings
 from magcal_core.samples import SampleFlag, Samples
 
 START = np.datetime64("2022-02-19T22:37:44.130", "ns")
@@ -32,7 +32,8 @@ def residuals(n: int = 575, components: int = 1, gap_days: float = 0.0) -> Resid
     weight = np.ones(n)
     weight[10:20] = 0.0
     t_utc = START + (seconds * 1e9).astype("timedelta64[ns]")
-    return ResidualTable(t_utc, model + along, model * 1.05, model, residual, weight, np.zeros(n, np.uint16))
+    readings = StoredReadings(raw_nt=model * 1.05, corrected_nt=model + along)
+    return ResidualTable(t_utc, model, residual, weight, np.zeros(n, np.uint16), readings)
 
 
 def parameter_set(day: int, grade: str = "accept") -> ParameterSetRecord:

@@ -99,7 +99,7 @@ def test_held_out_residuals_are_those_of_fits_without_the_block(mission):
     fit = estimator.fit(observations, PLAIN)
     got = held_out_residuals_nt(estimator, observations, PLAIN, fit)
     fold = folds_of(observations.t_s)[2]
-    rest = np.setdiff1d(np.arange(300), fold)
+    rest = np.setdiff1d(np.arange(300), np.arange(300)[fold])
     other = estimator.fit(observations.take(rest), PLAIN).parameters
     x = (observations.h_nt[fold] - other.bias_nt) @ np.linalg.inv(_matrix(other)).T
     np.testing.assert_allclose(got[fold], np.linalg.norm(x, axis=1) - observations.b_nt[fold], atol=1e-5)
