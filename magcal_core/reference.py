@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.attitude.rotation import attitude_matrix
+from magcal_core.calibration.corrections import lengths
 from magcal_core.errors import OrbitMissingError
 from magcal_core.field import FieldModel
 from magcal_core.orbit import Orbit
-from magcal_core.orbit.choose import MAX_AGE_DAYS, check_age, choose_orbits
+from magcal_core.orbit.choose import MAX_AGE_DAYS, NO_ORBIT, check_age, choose_orbits
 from magcal_core.orbit.earth_fixed import itrf_to_gcrf_fast
 from magcal_core.samples import Floats, SampleFlag, Samples, Times
 
@@ -21,6 +22,8 @@ Mask = NDArray[np.bool_]
 
 TELEMETRY_REFERENCE: Final = "telemetry-reference"
 TELEMETRY_POSITION: Final = "telemetry-position"
+_ROWS: Final = 1 << 18
+"""Samples whose field is taken at a time: more would keep vectors that nobody asks for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,36 +86,29 @@ def with_reference(
     """
     if samples.has_reference:
         return _from_telemetry(samples), ReferenceReport(TELEMETRY_REFERENCE, (), field.name)
-    t_true = samples.t_utc + np.timedelta64(round(time_offset_s * 1e9), "ns")
-    r_itrf_km = np.full((len(samples), 3), np.nan) if samples.r_itrf_km is None else samples.r_itrf_km.copy()
-    has_place = np.asarray(np.isfinite(r_itrf_km).all(axis=1))
-    if samples.r_itrf_km is not None and (has_place.all() or not orbits):
-        report = ReferenceReport(TELEMETRY_POSITION, (), field.name)
-        return _with_field(samples, t_true, r_itrf_km, has_place, field), report
-    return _from_orbits(samples, t_true, r_itrf_km, orbits, field, max_age_days=max_orbit_age_days)
+    t_true = samples.t_utc if not time_offset_s else samples.t_utc + np.timedelta64(round(time_offset_s * 1e9), "ns")
+    if samples.r_itrf_km is not None:
+        has_place = np.asarray(np.isfinite(samples.r_itrf_km).all(axis=1))
+        if has_place.all() or not orbits:
+            report = ReferenceReport(TELEMETRY_POSITION, (), field.name)
+            return _with_field(samples, t_true, samples.r_itrf_km, has_place, field), report
+    return _from_orbits(samples, t_true, orbits, field, max_age_days=max_orbit_age_days)
 
 
 def _from_orbits(
     samples: Samples,
     t_true: Times,
-    r_itrf_km: Floats,
     orbits: Sequence[Orbit],
     field: FieldModel,
     *,
     max_age_days: float,
 ) -> tuple[Samples, ReferenceReport]:
     """Return the samples with position and field, the positions that the telemetry lacks from the orbits."""
+    r_itrf_km, warnings, entries = _places(samples, t_true, orbits, max_age_days)
+    models = {str(entry["model"]) for entry in entries}
+    if samples.r_itrf_km is not None and np.isfinite(samples.r_itrf_km).all(axis=1).any():
+        models.add(TELEMETRY_POSITION)
     has_place = np.asarray(np.isfinite(r_itrf_km).all(axis=1))
-    rows = np.flatnonzero(~has_place)
-    choice = choose_orbits(orbits, t_true[rows])
-    warnings = check_age(choice, orbits, max_age_days)
-    models = {TELEMETRY_POSITION} if has_place.any() else set()
-    entries = []
-    for i, chosen in choice.by_orbit():
-        r_itrf_km[rows[chosen]] = _positions_km(orbits[i], t_true[rows[chosen]])
-        has_place[rows[chosen]] = True
-        models.add(orbits[i].model)
-        entries.append(_entry(i, orbits[i], choice.age_days[chosen]))
     if not has_place.any():
         raise OrbitMissingError(_not_covered(orbits, samples.t_utc))
     if gap := np.count_nonzero(~has_place):
@@ -120,6 +116,31 @@ def _from_orbits(
     report = ReferenceReport("+".join(sorted(models)), tuple(entries), field.name, tuple(warnings))
     cleared = samples.flags & ~np.where(has_place, np.uint16(SampleFlag.NO_REFERENCE), np.uint16(0))
     return _with_field(replace(samples, flags=cleared), t_true, r_itrf_km, has_place, field), report
+
+
+def _places(
+    samples: Samples, t_true: Times, orbits: Sequence[Orbit], max_age_days: float
+) -> tuple[Floats, list[str], list[Mapping[str, object]]]:
+    """Return the positions, shape (n, 3), km, NaN where no orbit covers; warnings; and an entry for each orbit used."""
+    entries: list[Mapping[str, object]] = []
+    if samples.r_itrf_km is None:
+        choice = choose_orbits(orbits, t_true)
+        warnings = check_age(choice, orbits, max_age_days)
+        alone = int(choice.index[0]) if len(samples) else NO_ORBIT
+        if alone != NO_ORBIT and np.all(choice.index == alone):
+            entries.append(_entry(alone, orbits[alone], choice.age_days))
+            del choice
+            return _positions_km(orbits[alone], t_true), warnings, entries
+        r_itrf_km, rows = np.full((len(samples), 3), np.nan), np.arange(len(samples))
+    else:
+        r_itrf_km = samples.r_itrf_km.copy()
+        rows = np.flatnonzero(~np.isfinite(r_itrf_km).all(axis=1))
+        choice = choose_orbits(orbits, t_true[rows])
+        warnings = check_age(choice, orbits, max_age_days)
+    for i, chosen in choice.by_orbit():
+        r_itrf_km[rows[chosen]] = _positions_km(orbits[i], t_true[rows[chosen]])
+        entries.append(_entry(i, orbits[i], choice.age_days[chosen]))
+    return r_itrf_km, warnings, entries
 
 
 def _positions_km(orbit: Orbit, t_utc: Times) -> Floats:
@@ -150,16 +171,33 @@ def _not_covered(orbits: Sequence[Orbit], t_utc: Times) -> str:
 
 def _with_field(samples: Samples, t_utc: Times, r_itrf_km: Floats, has_place: Mask, field: FieldModel) -> Samples:
     """Return the samples with position and field; ``t_utc`` is the true time of each."""
-    if has_place.all():
-        b_itrf_nt = field.field_itrf_nt(t_utc, r_itrf_km)
-    else:
-        b_itrf_nt = np.full((len(samples), 3), np.nan)
-        b_itrf_nt[has_place] = field.field_itrf_nt(t_utc[has_place], r_itrf_km[has_place])
-    filled = replace(samples, r_itrf_km=r_itrf_km, b_ref_magnitude_nt=_magnitude(b_itrf_nt))
-    if samples.q_base_gcrf is not None:
-        b_gcrf_nt = itrf_to_gcrf_fast(t_utc, b_itrf_nt)
-        filled = replace(filled, b_ref_gcrf_nt=b_gcrf_nt, b_ref_base_nt=_in_base(samples.q_base_gcrf, b_gcrf_nt))
+    n, q = len(samples), samples.q_base_gcrf
+    magnitude_nt = np.empty(n)
+    b_gcrf_nt, b_base_nt = (samples.b_ref_gcrf_nt, samples.b_ref_base_nt) if q is None else np.empty((2, n, 3))
+    for start in range(0, n, _ROWS):
+        rows = slice(start, start + _ROWS)
+        b_itrf_nt = _field_nt(t_utc[rows], r_itrf_km[rows], has_place[rows], field)
+        magnitude_nt[rows] = lengths(b_itrf_nt)
+        if q is not None and b_gcrf_nt is not None and b_base_nt is not None:
+            b_gcrf_nt[rows] = itrf_to_gcrf_fast(t_utc[rows], b_itrf_nt)
+            b_base_nt[rows] = _in_base(q[rows], b_gcrf_nt[rows])
+    filled = replace(
+        samples,
+        r_itrf_km=r_itrf_km,
+        b_ref_magnitude_nt=magnitude_nt,
+        b_ref_gcrf_nt=b_gcrf_nt,
+        b_ref_base_nt=b_base_nt,
+    )
     return filled.flagged(SampleFlag.NO_REFERENCE, ~has_place)
+
+
+def _field_nt(t_utc: Times, r_itrf_km: Floats, has_place: Mask, field: FieldModel) -> Floats:
+    """Return the field, shape (n, 3), ITRF, nT; NaN where there is no place."""
+    if has_place.all():
+        return field.field_itrf_nt(t_utc, r_itrf_km)
+    b_itrf_nt = np.full((len(t_utc), 3), np.nan)
+    b_itrf_nt[has_place] = field.field_itrf_nt(t_utc[has_place], r_itrf_km[has_place])
+    return b_itrf_nt
 
 
 def _from_telemetry(samples: Samples) -> Samples:
@@ -169,15 +207,11 @@ def _from_telemetry(samples: Samples) -> Samples:
         base_nt = _in_base(samples.q_base_gcrf, gcrf_nt)
     if magnitude_nt is None:
         vector_nt = gcrf_nt if samples.b_ref_base_nt is None else samples.b_ref_base_nt
-        magnitude_nt = None if vector_nt is None else _magnitude(vector_nt)
+        magnitude_nt = None if vector_nt is None else lengths(vector_nt)
     filled = replace(samples, b_ref_base_nt=base_nt, b_ref_magnitude_nt=magnitude_nt)
     if magnitude_nt is None:
         return filled
     return filled.flagged(SampleFlag.NO_REFERENCE, ~np.isfinite(magnitude_nt))
-
-
-def _magnitude(b_nt: Floats) -> Floats:
-    return np.asarray(np.sqrt(np.einsum("ij,ij->i", b_nt, b_nt)), np.float64)
 
 
 def _in_base(q_base_gcrf: Floats, b_gcrf_nt: Floats) -> Floats:

@@ -81,8 +81,9 @@ def scan_scales(t_utc: Times, h_nt: Floats, b_nt: Floats) -> ScaleCandidate | No
     scale's own value.
     """
     t_s = (t_utc - t_utc[0]) / np.timedelta64(1, "ns") * 1e-9
-    rising = np.concatenate([[True], np.diff(t_s) > 0])
-    if not rising.all():
+    is_rising = t_s[1:] > t_s[:-1]
+    if not is_rising.all():
+        rising = np.concatenate([[True], is_rising])
         t_s, b_nt, h_nt = t_s[rising], b_nt[rising], h_nt[rising]
     index = _movable(t_s)
     if len(index) < _FEWEST:
@@ -117,22 +118,36 @@ def _scores_nt(h_nt: Floats, candidates_nt: Floats) -> Floats:
 
 def _movable(t_s: Floats) -> NDArray[np.intp]:
     """Return the samples, thinned, that stay `_REACH_S` clear of every gap and of both ends."""
-    gaps = np.flatnonzero(np.diff(t_s) > _GAP_S)
+    gaps = np.flatnonzero(t_s[1:] - t_s[:-1] > _GAP_S)
     starts, ends = t_s[np.concatenate([[0], gaps + 1])], t_s[np.concatenate([gaps, [len(t_s) - 1]])]
-    arc = np.searchsorted(starts, t_s, side="right") - 1
-    inside = (t_s - starts[arc] >= _REACH_S) & (ends[arc] - t_s >= _REACH_S)
-    index = np.flatnonzero(inside)
-    return index[:: max(1, len(index) // _MOST)]
+    first = np.searchsorted(t_s, starts + _REACH_S)
+    counts = np.maximum(np.searchsorted(t_s, ends - _REACH_S, side="right") - first, 0)
+    # The samples inside, counted through all arcs: every so many of them, without a list of all.
+    until = np.cumsum(counts)
+    at = np.arange(0, until[-1], max(1, int(until[-1]) // _MOST))
+    arc = np.searchsorted(until, at, side="right")
+    return np.asarray(first[arc] + at - (until - counts)[arc])
 
 
 def _moved(t_s: Floats, b_nt: Floats, index: NDArray[np.intp], offsets_s: Floats) -> Floats:
     """Return B(t - offset) at the samples ``index``, shape (n, m), by cubic Hermite interpolation."""
-    slope = np.gradient(b_nt, t_s)
     at = t_s[index][:, None] - offsets_s
     left = np.clip(np.searchsorted(t_s, at, side="right") - 1, 0, len(t_s) - 2)
     width = t_s[left + 1] - t_s[left]
     x = (at - t_s[left]) / width
     b0, b1 = b_nt[left], b_nt[left + 1]
-    m0, m1 = slope[left] * width, slope[left + 1] * width
+    m0, m1 = _slopes(t_s, b_nt, left) * width, _slopes(t_s, b_nt, left + 1) * width
     moved: Floats = b0 + x * (m0 + x * (3 * (b1 - b0) - 2 * m0 - m1 + x * (2 * (b0 - b1) + m0 + m1)))
     return moved
+
+
+def _slopes(t_s: Floats, b_nt: Floats, at: NDArray[np.intp]) -> Floats:
+    """Return the slope of ``b_nt`` at the samples ``at``, nT/s, of the parabola through the neighbours.
+
+    At an end, where only its value is asked for, that of the sample beside it.
+    """
+    at = np.clip(at, 1, len(t_s) - 2)
+    ahead_s, behind_s = t_s[at + 1] - t_s[at], t_s[at] - t_s[at - 1]
+    ahead = (b_nt[at + 1] - b_nt[at]) / ahead_s
+    behind = (b_nt[at] - b_nt[at - 1]) / behind_s
+    return np.asarray((ahead * behind_s + behind * ahead_s) / (ahead_s + behind_s))
