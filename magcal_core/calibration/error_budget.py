@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from magcal_core.calibration.corrections import lengths
 from magcal_core.calibration.fit import Floats
 from magcal_core.constants import EARTH_RADIUS_MAGNETIC_KM, EARTH_ROTATION_RAD_S
 from magcal_core.errors import ModelRangeError
@@ -39,7 +40,7 @@ EXTERNAL_COMPONENT_NT: Final = 35.0
 
 _PLACES: Final = 64
 _STEP_KM: Final = 5.0
-_MOST_STEP_S: Final = 300.0
+_MOST_STEP: Final = np.timedelta64(300, "s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,14 +174,17 @@ def _places(samples: Samples) -> tuple[Times, Floats, Floats] | None:
     """Return some times, positions, km, and inertial velocities along ITRF's axes, km/s, that stand for all samples."""
     if samples.r_itrf_km is None:
         return None
-    index = np.flatnonzero(samples.is_used & np.isfinite(samples.r_itrf_km).all(axis=1))
-    t_utc, r_km = samples.t_utc[index], samples.r_itrf_km[index]
-    step_s = (t_utc[2:] - t_utc[:-2]) / np.timedelta64(1, "ns") * 1e-9
-    middle = np.flatnonzero((step_s > 0) & (step_s <= _MOST_STEP_S)) + 1
+    placed = samples.is_used & np.isfinite(samples.r_itrf_km).all(axis=1)
+    t_utc, r_km = samples.t_utc, samples.r_itrf_km
+    if not placed.all():
+        t_utc, r_km = t_utc[placed], r_km[placed]
+    step = t_utc[2:] - t_utc[:-2]
+    middle = np.flatnonzero((step > np.timedelta64(0)) & (step <= _MOST_STEP)) + 1
     middle = middle[:: max(1, len(middle) // _PLACES)]
     if len(middle) < 2:
         return None
-    v_km_s = (r_km[middle + 1] - r_km[middle - 1]) / step_s[middle - 1, None]
+    step_s = step[middle - 1] / np.timedelta64(1, "ns") * 1e-9
+    v_km_s = (r_km[middle + 1] - r_km[middle - 1]) / step_s[:, None]
     v_km_s += np.cross([0.0, 0.0, EARTH_ROTATION_RAD_S], r_km[middle])
     return t_utc[middle], r_km[middle], v_km_s
 
@@ -215,7 +219,9 @@ def _sources(samples: Samples, source: ReferenceSource) -> Iterator[BudgetItem]:
     """Yield what the field model leaves out."""
     radius_km = 6871.2
     if samples.r_itrf_km is not None:
-        radius_km = float(np.nanmedian(np.linalg.norm(samples.r_itrf_km, axis=1)))
+        radii_km = lengths(samples.r_itrf_km)
+        known = np.isfinite(radii_km)
+        radius_km = float(np.median(radii_km if known.all() else radii_km[known], overwrite_input=True))
         omission = _omission(samples, source)
         if omission is not None:
             yield omission
