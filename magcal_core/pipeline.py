@@ -185,7 +185,7 @@ def _clock(  # noqa: PLR0917
     def at(shift_s: Floats) -> Observations:
         return referenced.shifted(usable, names, shift_s)
 
-    return fit_with_clock(guide, at, observations.t_s, settings, has_drift=options.time_drift)
+    return fit_with_clock(guide, at, observations, settings, has_drift=options.time_drift)
 
 
 def _at_clock(estimator: Estimator, observations: Observations, settings: FitSettings, clock: ClockFit) -> Fit:

@@ -31,6 +31,8 @@ _RATE_STEP_S: Final = 0.5
 BOUNDED_S: Final = 5.0
 """Standard error of the offset up to which twice as much is harmless: 10 s are 200 nT of |B|."""
 LARGEST_S: Final = 3600.0
+_NEAR_S: Final = 0.5
+"""Step up to which the second-order expansion of the reference holds to 1e-5 nT of |B|."""
 
 At = Callable[[Floats], Observations]
 """Seconds to add to each sample's time, shape (n,) -> observations with the reference at those times."""
@@ -82,16 +84,26 @@ class ClockFit:
         }
 
 
-def fit_with_clock(estimator: Estimator, at: At, t_s: Floats, settings: FitSettings, *, has_drift: bool) -> ClockFit:
-    """Return the fit with the clock's offset (and drift) among its unknowns; ``t_s``: time of each sample, s, (n,)."""
+def fit_with_clock(
+    estimator: Estimator, at: At, unmoved: Observations, settings: FitSettings, *, has_drift: bool
+) -> ClockFit:
+    """Return the fit with the clock's offset (and drift) among its unknowns; ``unmoved``: what ``at`` gives for zero.
+
+    Notes
+    -----
+    Gauss-Newton steps of the clock, each a fit. After a step within `_NEAR_S` the next one is taken on the expansion of
+    the reference about the last place; the fit that counts has the reference itself at its own place.
+    """
     from scipy.special import ndtr
 
+    t_s = unmoved.t_s
     middle = 0.5 * float(t_s[0] + t_s[-1])
     shapes = np.stack([np.ones_like(t_s), t_s - middle]) if has_drift else np.ones((1, len(t_s)))
     clock = np.zeros(len(shapes))
-    is_converged, reach_s = False, np.ptp(t_s) / 2
+    is_converged, reach_s, here = False, np.ptp(t_s) / 2, unmoved
     for _ in range(_ROUNDS):
-        observations = _with_rates(at, clock @ shapes, shapes)
+        expansion = _Expansion.about(at, clock @ shapes, here)
+        observations = expansion.moved(0.0, shapes)
         fit = estimator.fit(observations, settings)
         clock = clock + fit.clock
         largest = float(np.abs(fit.clock[0]) + (np.abs(fit.clock[1]) * reach_s if has_drift else 0.0))
@@ -100,10 +112,13 @@ def fit_with_clock(estimator: Estimator, at: At, t_s: Floats, settings: FitSetti
         if largest < _SMALL_S:
             is_converged = True
             break
+        if largest <= _NEAR_S:
+            clock = clock + estimator.fit(expansion.moved(fit.clock @ shapes, shapes), settings).clock
+        here = at(clock @ shapes)
     if is_converged:
         observations, fit = _moved(observations, fit)
     else:
-        observations = _with_rates(at, clock @ shapes, shapes)
+        observations = _Expansion.about(at, clock @ shapes, at(clock @ shapes)).moved(0.0, shapes)
         fit = estimator.fit(observations, settings)
         clock = clock + fit.clock
     honest = honest_covariance(fit.blocks, fit.covariance, len(observations))
@@ -122,15 +137,44 @@ def fit_with_clock(estimator: Estimator, at: At, t_s: Floats, settings: FitSetti
     )
 
 
-def _with_rates(at: At, shift_s: Floats, shapes: Floats) -> Observations:
-    """Return the observations at ``shift_s`` with the fall of the reference by each unknown of the clock."""
-    here, later, sooner = at(shift_s), at(shift_s + _RATE_STEP_S), at(shift_s - _RATE_STEP_S)
-    rate = (sooner.b_nt - later.b_nt) / (2 * _RATE_STEP_S)
-    base = None
-    if here.b_base_nt is not None and sooner.b_base_nt is not None and later.b_base_nt is not None:
-        slope = (sooner.b_base_nt - later.b_base_nt) / (2 * _RATE_STEP_S)
-        base = np.ascontiguousarray(slope[:, None, :] * shapes.T[:, :, None])
-    return replace(here, rate_nt_s=np.ascontiguousarray(rate[:, None] * shapes.T), rate_base_nt_s=base)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Expansion:
+    """The reference about a place of the clock: fall, nT/s, and curvature, nT/s^2, of |B| and of its components."""
+
+    here: Observations
+    fall: Floats
+    curve: Floats
+    base_fall: Floats | None
+    base_curve: Floats | None
+
+    @classmethod
+    def about(cls, at: At, shift_s: Floats, here: Observations) -> _Expansion:
+        """Return the expansion about ``shift_s``, where the observations are ``here``."""
+        later, sooner = at(shift_s + _RATE_STEP_S), at(shift_s - _RATE_STEP_S)
+        fall, curve = _differences(here.b_nt, later.b_nt, sooner.b_nt)
+        base_fall = base_curve = None
+        if here.b_base_nt is not None and sooner.b_base_nt is not None and later.b_base_nt is not None:
+            base_fall, base_curve = _differences(here.b_base_nt, later.b_base_nt, sooner.b_base_nt)
+        return cls(here, fall, curve, base_fall, base_curve)
+
+    def moved(self, step_s: Floats | float, shapes: Floats) -> Observations:
+        """Return the observations ``step_s`` on, with the fall of the reference by each unknown of the clock there."""
+        step = np.broadcast_to(np.asarray(step_s, np.float64), self.fall.shape)
+        fall = self.fall - step * self.curve
+        b_nt = self.here.b_nt - step * (self.fall - 0.5 * step * self.curve)
+        base_nt, base_rate = self.here.b_base_nt, None
+        if base_nt is not None and self.base_fall is not None and self.base_curve is not None:
+            along = step[:, None]
+            base_nt = base_nt - along * (self.base_fall - 0.5 * along * self.base_curve)
+            base_rate = (self.base_fall - along * self.base_curve)[:, None, :] * shapes.T[:, :, None]
+            base_rate = np.ascontiguousarray(base_rate)
+        rate = np.ascontiguousarray(fall[:, None] * shapes.T)
+        return replace(self.here, b_nt=b_nt, b_base_nt=base_nt, rate_nt_s=rate, rate_base_nt_s=base_rate)
+
+
+def _differences(here: Floats, later: Floats, sooner: Floats) -> tuple[Floats, Floats]:
+    """Return fall and curvature of a column from its values `_RATE_STEP_S` later and sooner."""
+    return (sooner - later) / (2 * _RATE_STEP_S), ((later - here) + (sooner - here)) / _RATE_STEP_S**2
 
 
 def _moved(observations: Observations, fit: Fit) -> tuple[Observations, Fit]:
