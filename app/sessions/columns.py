@@ -6,6 +6,7 @@ size, and nothing is lost, since a column is only kept so where every bit of it 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
@@ -26,28 +27,34 @@ NAN_BITS: Final = int(np.array(np.nan).view(np.int64))
 DECIMALS: Final = range(7)
 PROBED: Final = 1000
 """Values that are looked at before a whole column is."""
+MOST_ROWS_AT_ONCE: Final = 1 << 18
+"""Rows that are compressed together: it bounds the memory that a long session takes beside its columns."""
 BLOCK: Final = 1 << 14
 """Values that are looked at while they are in the processor's cache."""
 
 
 def encode(samples: Samples) -> bytes:
     """Return ``samples`` as Arrow IPC; every bit of every value is kept."""
-    columns: dict[str, pa.Array] = {TIMES: pa.array(samples.t_utc.astype("datetime64[ns]"))}
-    for name, width in VECTORS.items():
-        values: Floats | None = getattr(samples, name)
-        if values is not None:
-            columns |= {f"{name}[{i}]": pa.array(np.ascontiguousarray(values[:, i])) for i in range(width)}
-    if samples.b_ref_magnitude_nt is not None:
-        columns[MAGNITUDE] = pa.array(samples.b_ref_magnitude_nt)
-    columns |= {f"{KEEPING}{name}": pa.array(values) for name, values in samples.housekeeping.items()}
-    columns["flags"] = pa.array(samples.flags)
-    packed = [_packed(name, values) for name, values in columns.items()]
+    packed = [_packed(name, pa.array(np.ascontiguousarray(values))) for name, values in _columns(samples)]
     table = pa.Table.from_arrays([values for _, values in packed], schema=pa.schema([one for one, _ in packed]))
     sink = pa.BufferOutputStream()
     with pa.ipc.new_file(sink, table.schema, options=pa.ipc.IpcWriteOptions(compression="zstd")) as writer:
-        writer.write_table(table)
+        writer.write_table(table, max_chunksize=MOST_ROWS_AT_ONCE)
     content: bytes = sink.getvalue().to_pybytes()
     return content
+
+
+def _columns(samples: Samples) -> Iterator[tuple[str, NDArray[np.generic]]]:
+    """Yield name and values of every column of ``samples``, one axis a column."""
+    yield TIMES, samples.t_utc.astype("datetime64[ns]", copy=False)
+    for name, width in VECTORS.items():
+        values: Floats | None = getattr(samples, name)
+        if values is not None:
+            yield from ((f"{name}[{i}]", values[:, i]) for i in range(width))
+    if samples.b_ref_magnitude_nt is not None:
+        yield MAGNITUDE, samples.b_ref_magnitude_nt
+    yield from ((f"{KEEPING}{name}", values) for name, values in samples.housekeeping.items())
+    yield "flags", samples.flags
 
 
 def decode(content: bytes) -> Samples:

@@ -64,6 +64,8 @@ SUFFIXES: Final[Mapping[str, str]] = {
 
 _COMPRESSED: Final = frozenset({".gz", ".zst", ".zstd"})
 _PARQUET_MAGIC: Final = b"PAR1"
+_LARGE_BYTES: Final = 16 << 20
+"""Size past which the parser's memory is given back before the samples take theirs."""
 
 
 def format_of_name(name: str | PurePath) -> str | None:
@@ -132,6 +134,8 @@ def read_telemetry(
     body = decompress(data, max_bytes=max_decompressed_bytes)
     kind = _chosen_format(format, name if isinstance(name, str | Path) else None, body)
     table = READERS[kind](body, columns, max_rows=max_rows)
+    if len(body) > _LARGE_BYTES:
+        pa.default_memory_pool().release_unused()
     judgement = Judgement(unit, range_nt, time_scale, field_range_nt, max_bad_fraction, max_conflict_fraction)
     return assemble(table, judgement)
 

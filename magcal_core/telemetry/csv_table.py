@@ -57,8 +57,9 @@ def _find_header(text: bytes) -> tuple[int, str, int]:
     """Return where the rows begin, the header line, and the number of lines above it: blank ones and # comments."""
     at, above = 0, 0
     while at < len(text):
-        ends = [end for end in (text.find(b"\n", at), text.find(b"\r", at)) if end >= 0]
-        end = min(ends, default=len(text))
+        newline = text.find(b"\n", at)
+        end = text.find(b"\r", at, None if newline < 0 else newline)
+        end = end if end >= 0 else newline if newline >= 0 else len(text)
         line = text[at:end].decode("utf-8").strip("\ufeff")
         at = end + (2 if text[end : end + 2] == b"\r\n" else 1)
         if line.strip() and not line.startswith("#"):

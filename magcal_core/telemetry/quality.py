@@ -82,11 +82,16 @@ def is_missing(values: Floats) -> Mask:
     missing = np.empty(len(values), bool)
     for at in range(0, len(values), _CELLS_AT_ONCE):
         cells = values[at : at + _CELLS_AT_ONCE]
-        part = np.abs(cells) <= LARGEST_CELL
-        np.logical_not(part, out=part)
+        part = missing[at : at + _CELLS_AT_ONCE]
+        low, high = cells.min(), cells.max()
+        if low >= -LARGEST_CELL and high <= LARGEST_CELL:
+            part[:] = False
+        else:
+            np.logical_not(np.abs(cells) <= LARGEST_CELL, out=part)
+            low, high = -LARGEST_CELL, LARGEST_CELL
         for fill in FILL_VALUES:
-            part |= cells == fill
-        missing[at : at + _CELLS_AT_ONCE] = part
+            if low <= fill <= high:
+                part |= cells == fill
     return missing
 
 

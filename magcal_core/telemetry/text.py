@@ -37,10 +37,11 @@ def checked_text(data: bytes) -> bytes:
     for mark, name in _FOREIGN_MARKS.items():
         if data.startswith(mark):
             raise EncodingError(f"the text is {name} (byte offset 0); send UTF-8")
-    nul = data.find(b"\0")
-    if nul >= 0:
-        raise EncodingError(f"the text has a NUL at byte offset {nul}; send UTF-8 text")
-    if not data.isascii():
+    # numpy, unlike bytes, lets other threads run while it looks through a long text.
+    codes = np.frombuffer(data, np.uint8)
+    if codes.min(initial=1) == 0:
+        raise EncodingError(f"the text has a NUL at byte offset {data.find(bytes(1))}; send UTF-8 text")
+    if codes.max(initial=0) > 127:
         try:
             data.decode("utf-8")
         except UnicodeDecodeError as error:
