@@ -20,6 +20,7 @@ from app.database import Database
 from app.documentation import complete
 from app.errors import install_handlers
 from app.field import endpoints as field
+from app.gate import UploadGate
 from app.head import HeadRequests
 from app.idempotency import Running
 from app.jobs import endpoints as jobs
@@ -84,6 +85,7 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
     app.add_middleware(RequestLimits)
     app.add_middleware(SecurityHeaders)
     app.add_middleware(RequestLog)
+    app.add_middleware(UploadGate, most=settings.max_uploads_at_once, most_per_key=settings.max_uploads_per_key)
     return app
 
 
