@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
+KERNELS := $(VENV)/.kernels
 
 .DEFAULT_GOAL := help
 .PHONY: help system install demo test check format bench docs faults lock clean
@@ -27,9 +28,15 @@ $(STAMP): requirements/dev.txt pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
 	@touch $(STAMP)
 
-install: $(STAMP) ## a virtual environment in .venv with magcal and its tools
+# A cached kernel is kept while its own file is unchanged, also where a kernel that it contains is not: one change, and
+# all are compiled anew.
+$(KERNELS): $(STAMP) $(shell grep -rl --include='*.py' njit magcal_core)
+	@find magcal_core -name '*.nb[ci]' -delete
+	@touch $(KERNELS)
 
-demo: $(STAMP)    ## a whole mission on this machine; ONCE=1 ends after the result
+install: $(KERNELS) ## a virtual environment in .venv with magcal and its tools
+
+demo: $(KERNELS)  ## a whole mission on this machine; ONCE=1 ends after the result
 	$(BIN)/magcal demo $(if $(ONCE),--once) $(if $(PORT),--port $(PORT))
 
 check: $(STAMP)   ## format, lint, types, imports
@@ -42,13 +49,13 @@ format: $(STAMP)  ## let ruff rewrite what it can
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-test: system check ## the checks and every test
+test: system check $(KERNELS) ## the checks and every test
 	$(BIN)/python -m pytest $(if $(PYTEST_ARGS),$(PYTEST_ARGS),-n 2 --dist loadfile)
 
-faults: $(STAMP)  ## kill, pause and fill real processes; MAGCAL_FAULT_TRIALS=N for more of it
+faults: $(KERNELS) ## kill, pause and fill real processes; MAGCAL_FAULT_TRIALS=N for more of it
 	$(BIN)/python -m pytest tests/faults
 
-bench: $(STAMP)   ## measure against peers and bare kernels; writes benchmarks/results/
+bench: $(KERNELS) ## measure against peers and bare kernels; writes benchmarks/results/
 	$(BIN)/python -m benchmarks
 
 docs: $(STAMP)    ## the documentation as web pages in site/
