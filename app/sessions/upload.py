@@ -129,7 +129,7 @@ def check_declared(request: Request, settings: Settings) -> int:
     declared = int(text) if text.isascii() and text.isdigit() else 0
     if declared > settings.max_upload_mb * 1_000_000:
         raise UploadTooLargeError(f"the body is larger than {settings.max_upload_mb} MB, which is the limit")
-    coding = request.headers.get("content-encoding", "identity").strip().lower()
+    coding = _coding(request)
     if coding != "identity" and coding not in CODINGS:
         raise UnsupportedMediaError("this content coding is not read; known are gzip and zstd")
     free = shutil.disk_usage(settings.data_dir).free
@@ -156,36 +156,36 @@ async def receive(request: Request, settings: Settings) -> Upload:
     declared = check_declared(request, settings)
     wanted = _wanted_digests(request.headers.get("content-digest", ""))
     hashes = {name: hashlib.new(name) for name in {"sha256", *wanted}}
-    folder = incoming_dir(settings)
-    with tempfile.SpooledTemporaryFile(max_size=IN_MEMORY_BYTES, dir=str(folder), suffix=".part") as spool:
+    folder = str(incoming_dir(settings))
+    with tempfile.SpooledTemporaryFile(IN_MEMORY_BYTES, dir=folder, suffix=".part") as spool:
         size, held = 0, list[bytes]()
         async for piece in _pieces(request, settings):
             size += len(piece)
             if size > settings.max_upload_mb * 1_000_000:
                 raise UploadTooLargeError(f"the body is larger than {settings.max_upload_mb} MB, which is the limit")
             held.append(piece)
-            if sum(map(len, held)) >= IN_MEMORY_BYTES:
+            if sum(map(len, held)) > IN_MEMORY_BYTES:
                 await asyncio.to_thread(_take, held, spool, hashes)
                 held.clear()
         if size < declared:
             raise UploadTruncatedError(f"the body has {size} of the {declared} bytes that its Content-Length says")
-        body = await asyncio.to_thread(_rest, held, spool, hashes) if size > IN_MEMORY_BYTES else b"".join(held)
-        if size <= IN_MEMORY_BYTES:
-            for one in hashes.values():
-                one.update(body)
-        for name, digest in wanted.items():
-            if hashes[name].digest() != digest:
-                raise DigestMismatchError("the body does not have the digest that Content-Digest says")
-        if time.monotonic() - begun > TRUSTED_S:
-            await run_in_threadpool(authenticate, request)
-    coding = request.headers.get("content-encoding", "identity").strip().lower()
-    media_type = request.headers.get("content-type", "")
-    if coding == "identity" or not body:
-        return Upload(body, hashes["sha256"].hexdigest(), media_type)
+        is_long = size > IN_MEMORY_BYTES
+        body = await asyncio.to_thread(_unspooled, held, spool, hashes) if is_long else _joined(held, hashes)
+    for name, digest in wanted.items():
+        if hashes[name].digest() != digest:
+            raise DigestMismatchError("the body does not have the digest that Content-Digest says")
+    if time.monotonic() - begun > TRUSTED_S:
+        await run_in_threadpool(authenticate, request)
+    sha256, media_type = hashes["sha256"].hexdigest(), request.headers.get("content-type", "")
+    if not body or _coding(request) == "identity":
+        return Upload(body, sha256, media_type)
     return await asyncio.to_thread(_decoded, body, media_type, settings)
 
 
-def _take(held: list[bytes], spool: tempfile.SpooledTemporaryFile[bytes], hashes: Mapping[str, hashlib._Hash]) -> None:
+Hashes = Mapping[str, "hashlib._Hash"]
+
+
+def _take(held: list[bytes], spool: tempfile.SpooledTemporaryFile[bytes], hashes: Hashes) -> None:
     """Hash and spool what has arrived, many pieces at once: each change of thread costs as much as hashing one."""
     for piece in held:
         for one in hashes.values():
@@ -193,10 +193,21 @@ def _take(held: list[bytes], spool: tempfile.SpooledTemporaryFile[bytes], hashes
     spool.writelines(held)
 
 
-def _rest(held: list[bytes], spool: tempfile.SpooledTemporaryFile[bytes], hashes: Mapping[str, hashlib._Hash]) -> bytes:
+def _unspooled(held: list[bytes], spool: tempfile.SpooledTemporaryFile[bytes], hashes: Hashes) -> bytes:
     _take(held, spool, hashes)
     spool.seek(0)
     return spool.read()
+
+
+def _joined(held: list[bytes], hashes: Hashes) -> bytes:
+    body = b"".join(held)
+    for one in hashes.values():
+        one.update(body)
+    return body
+
+
+def _coding(request: Request) -> str:
+    return request.headers.get("content-encoding", "identity").strip().lower()
 
 
 async def _pieces(request: Request, settings: Settings) -> AsyncIterator[bytes]:

@@ -57,6 +57,16 @@ def test_the_same_bytes_again_are_the_same_session(api, satellite):
     assert first.json() == second.json()
 
 
+@pytest.mark.parametrize("size", [(1 << 20) - 1, 1 << 20, (1 << 20) + 1, (2 << 20) + 5])
+def test_a_body_at_the_edge_of_what_is_held_in_memory_arrives_whole(api, satellite, size):
+    table = rows(200)
+    lines, rest = divmod(size - len(table), 1000)
+    content = b"#" * (rest + 999) + b"\n" + (b"#" * 999 + b"\n") * (lines - 1) + table
+    made = upload(api, satellite, content).json()
+    assert (made["size_bytes"], made["samples"]) == (size, 200)
+    assert made["sha256"] == hashlib.sha256(content).hexdigest()
+
+
 def test_the_same_bytes_of_two_satellites_are_two_sessions(api, names, satellite):
     other = next(names)
     api.post("/satellites", json={"id": other})
