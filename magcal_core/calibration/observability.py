@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -201,14 +202,20 @@ def sphere_coverage(directions: Floats) -> float:
 
 
 def _share_near(cells: Floats) -> float:
-    turns = np.arange(600) + 0.5
-    z = 1.0 - 2.0 * turns / 600
-    angle = turns * np.pi * (1.0 + np.sqrt(5.0))
-    radius = np.sqrt(1.0 - z**2)
-    grid = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), z])
-    near = np.zeros(600, dtype=bool)
+    grid = _even_directions(600)
+    near = np.zeros(len(grid), dtype=bool)
     _mark_near(grid, cells, float(np.cos(np.deg2rad(_REACH_DEG))), near)
     return float(near.mean())
+
+
+@lru_cache(maxsize=1)
+def _even_directions(count: int) -> Floats:
+    """Return unit vectors spread evenly over the sphere, shape (count, 3): a Fibonacci spiral."""
+    turns = np.arange(count) + 0.5
+    z = 1.0 - 2.0 * turns / count
+    angle = turns * np.pi * (1.0 + np.sqrt(5.0))
+    radius = np.sqrt(1.0 - z**2)
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), z])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

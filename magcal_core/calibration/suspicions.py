@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from magcal_core.calibration.attitude_suspicions import AttitudeCandidate, best_attitude
 from magcal_core.calibration.axis_suspicions import AxisCandidate, best_axes
 from magcal_core.calibration.clock_suspicions import KNOWN_SCALES, scale_of_offset, scan_scales
+from magcal_core.calibration.corrections import lengths
 from magcal_core.calibration.fit import Floats
 from magcal_core.calibration.position_suspicions import best_position_frame
 from magcal_core.field import FieldModel
@@ -68,7 +69,8 @@ def suspicions(
     position_field : FieldModel, optional
         Given where the positions came with the telemetry: then their frame is looked at.
     """
-    thinned = _thinned(samples)
+    index = usable(samples)
+    thinned = _thinned(samples, index)
     if thinned is None:
         return ()
     used, b_nt = thinned
@@ -78,7 +80,7 @@ def suspicions(
     found += _frames(used)
     if position_field is not None and used.r_itrf_km is not None:
         found += _positions(used, b_nt, position_field)
-    found += _clock(samples, clock)
+    found += _clock(samples, index, clock)
     return tuple(found)
 
 
@@ -99,8 +101,7 @@ def usable(samples: Samples) -> NDArray[np.intp]:
     return np.flatnonzero(is_good & np.isfinite(b_nt) & (b_nt > 0) & np.isfinite(samples.h_nt).all(axis=1))
 
 
-def _thinned(samples: Samples) -> tuple[Samples, Floats] | None:
-    index = usable(samples)
+def _thinned(samples: Samples, index: NDArray[np.intp]) -> tuple[Samples, Floats] | None:
     if len(index) < _FEWEST:
         return None
     index = index[:: max(1, len(index) // _MOST)]
@@ -111,7 +112,7 @@ def _thinned(samples: Samples) -> tuple[Samples, Floats] | None:
 
 def _units(h_nt: Floats, b_nt: Floats) -> Iterator[Suspicion]:
     """Yield the unit that the readings seem to have, from |h| and |B| alone."""
-    size = np.linalg.norm(h_nt, axis=1)
+    size = lengths(h_nt)
     spread = _rms(size - b_nt)
     pairs = [
         (NT_PER_UNIT[said] / NT_PER_UNIT[meant], said, meant)
@@ -119,7 +120,7 @@ def _units(h_nt: Floats, b_nt: Floats) -> Iterator[Suspicion]:
         for meant in NT_PER_UNIT
         if said != meant
     ]
-    left = {factor: _rms(size / factor - b_nt) for factor, _, _ in pairs}
+    left = {factor: _rms(size / factor - b_nt) for factor in dict.fromkeys(value for value, _, _ in pairs)}
     factor = min(left, key=lambda one: left[one])
     ratio = spread / left[factor]
     if ratio < FRAME_RATIO or not factor / 2 <= _gain(h_nt, b_nt) <= 2 * factor:
@@ -203,7 +204,7 @@ def _positions(used: Samples, b_nt: Floats, field: FieldModel) -> Iterator[Suspi
         )
 
 
-def _clock(samples: Samples, clock: ClockFinding | None) -> Iterator[Suspicion]:
+def _clock(samples: Samples, index: NDArray[np.intp], clock: ClockFinding | None) -> Iterator[Suspicion]:
     """Yield the time scale that the telemetry's clock seems to keep."""
     at = samples.t_utc[len(samples) // 2]
     if clock is not None:
@@ -217,7 +218,6 @@ def _clock(samples: Samples, clock: ClockFinding | None) -> Iterator[Suspicion]:
                 f"{KNOWN_SCALES[scale]} time",
             )
         return
-    index = usable(samples)
     used = samples if len(index) == len(samples) else samples.take(index)
     b_nt = magnitude_nt(used)
     found = None if b_nt is None else scan_scales(used.t_utc, used.h_nt, b_nt)
