@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from magcal_core.calibration.corrections import correct, lengths
+from magcal_core.calibration.corrections import correct, corrected_lengths, lengths, statistics
 from magcal_core.calibration.flags import JUMP, JUMP_NOISE, jumps
 from magcal_core.calibration.medians import peaks_above, running_median
-from magcal_core.calibration.observability import sphere_coverage
+from magcal_core.calibration.observability import sphere_coverage, sphere_motion
 from magcal_core.calibration.weights import robust_sigma
 
 
@@ -86,3 +86,41 @@ def test_robust_scales_are_numpys_medians(shape):
     assert robust_sigma(residuals) == 1.4826 * float(np.median(np.abs(residuals)))
     residuals.flat[0] = np.nan
     assert np.isnan(robust_sigma(residuals))
+
+
+@pytest.mark.parametrize("components", [1, 3])
+def test_statistics_are_numpys_over_samples_that_have_weight(components):
+    """Sums in another order: 1e-12 of the spread."""
+    random = np.random.default_rng(8)
+    r, b = random.normal(3.0, 50.0, (2500, components)), random.uniform(2e4, 6e4, 2500)
+    weights = (random.random(2500) > 0.1).astype(float)
+    used = weights > 0
+    mean, variance, largest, share = statistics(r, b, weights)
+    assert mean == pytest.approx(r[used].mean(), abs=5e-11)
+    assert variance == pytest.approx(r[used].var(), rel=1e-12)
+    assert largest == np.abs(r[used]).max()
+    assert share == (np.abs(r[used]) / b[used, None]).max()
+
+
+def test_motion_over_the_sphere_is_that_of_the_unit_vectors_themselves():
+    """Moments in one pass about the first direction, against numpy's of every vector: rounding only."""
+    random = np.random.default_rng(9)
+    h, bias = random.normal(size=(3000, 3)) * [3e4, 2e4, 1e4], np.array([500.0, -300.0, 200.0])
+    lower = np.array([[1.1, 0.0, 0.0], [0.05, 0.9, 0.0], [-0.1, 0.02, 1.0]])
+    weights = (random.random(3000) > 0.2).astype(float)
+    found = sphere_motion(h, weights, bias, lower)
+    x = (h[weights > 0] - bias) @ lower.T
+    u = x / np.linalg.norm(x, axis=1, keepdims=True)
+    values, axes = np.linalg.eigh(np.cov(u.T, bias=True))
+    np.testing.assert_allclose(found.centre, u.mean(axis=0), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(found.spreads, np.sqrt(values), rtol=1e-12)
+    np.testing.assert_allclose(np.abs(np.sum(found.axes * axes, axis=0)), 1.0, rtol=1e-12)
+    assert found.coverage == sphere_coverage(u)
+
+
+def test_corrected_lengths_are_those_of_the_corrected_readings():
+    """The vectors are not kept; the same products, in 1e-15 of the length."""
+    h_nt = 3e4 * np.random.default_rng(10).normal(size=(500, 3))
+    lower, bias_nt = np.array([[1.1, 0.0, 0.0], [0.05, 0.9, 0.0], [-0.1, 0.02, 1.0]]), np.array([500.0, -300.0, 200.0])
+    want = np.linalg.norm((h_nt - bias_nt) @ lower.T, axis=1)
+    np.testing.assert_allclose(corrected_lengths(h_nt, bias_nt, lower), want, rtol=2e-15)
