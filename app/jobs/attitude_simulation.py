@@ -11,10 +11,10 @@ from pydantic import AliasChoices, Field, JsonValue
 from sqlalchemy.orm import Session
 
 from app.jobs.child import Outcome, Report
+from app.jobs.claims import Claim
 from app.jobs.kind import Admission, WrongKindError
 from app.jobs.schemas import Identifier, JobBody
 from app.jobs.series import keep_series
-from app.jobs.tables import Job
 from app.keys.repository import Caller
 from app.orbits.repository import OrbitRepository
 from app.orbits.schemas import OrbitQuery
@@ -119,14 +119,14 @@ class AttitudeKind:
     def check(self, session: Session, admission: Admission) -> None:
         """Nothing is left to check: the options are sound."""
 
-    def load(self, session: Session, store: Store, job: Job) -> AttitudeWork:
-        """Return the options of ``job``."""
+    def load(self, session: Session, store: Store, claim: Claim) -> AttitudeWork:
+        """Return the options of the claimed job."""
         names = {f"{name}_set" for name in SENSORS}
-        return AttitudeWork({name: value for name, value in job.request.items() if name not in names})
+        return AttitudeWork({name: value for name, value in claim.request.items() if name not in names})
 
-    def keep(self, session: Session, store: Store, job: Job, found: Outcome) -> dict[str, object]:
+    def keep(self, session: Session, store: Store, claim: Claim, found: Outcome) -> dict[str, object]:
         """Keep the series and return the summary."""
-        return found.record | {"series": keep_series(session, store, job, found.blobs["series"])}
+        return found.record | {"series": keep_series(session, store, claim.job_id, found.blobs["series"])}
 
 
 def _shape(session: Session, caller: Caller, satellite_id: str) -> dict[str, object]:

@@ -13,9 +13,10 @@ from sqlalchemy.orm import Session
 from app.database import new_id, utc_now
 from app.errors import ConflictError, ExpiredError
 from app.jobs.child import Outcome
+from app.jobs.claims import Claim
 from app.jobs.kind import Admission, WrongKindError
 from app.jobs.schemas import CalibrationBody, JobBody
-from app.jobs.tables import Job, JobSession
+from app.jobs.tables import JobSession
 from app.keys.repository import SYSTEM, Caller
 from app.orbits.choice import chosen
 from app.orbits.repository import OrbitRepository
@@ -84,33 +85,33 @@ class CalibrationKind:
                 raise OrbitMissingError("the telemetry has no reference and no position, and the satellite no orbit")
             _check_age(best, row.data_from, row.data_until, limit_days)
 
-    def load(self, session: Session, store: Store, job: Job) -> CalibrationWork:
-        """Return the chunks, the orbits near them and the options of ``job``."""
-        links = select(JobSession.session_id).where(JobSession.job_id == job.id).order_by(JobSession.session_id)
+    def load(self, session: Session, store: Store, claim: Claim) -> CalibrationWork:
+        """Return the chunks, the orbits near them and the options of the claimed job."""
+        links = select(JobSession.session_id).where(JobSession.job_id == claim.job_id).order_by(JobSession.session_id)
         sessions = SessionRepository(session, SYSTEM)
         rows = [sessions.get(one) for one in session.scalars(links)]
         columns = [sessions.columns(row.id, store) for row in rows]
         begin = min(row.data_from for row in rows if row.data_from is not None)
         end = max(row.data_until for row in rows if row.data_until is not None)
-        orbits = OrbitRepository(session, SYSTEM, str(job.satellite_id))
-        near = orbits.around(begin, end, _limit_days(job.request))
+        orbits = OrbitRepository(session, SYSTEM, str(claim.satellite_id))
+        near = orbits.around(begin, end, _limit_days(claim.request))
         return CalibrationWork(
             columns=columns,
             orbits=[(row.id, row.content) for row in near],
-            options=job.request,
+            options=claim.request,
             inputs=[{"session_id": row.id, "sha256": identity(sessions.chunks(row.id))} for row in rows],
         )
 
-    def keep(self, session: Session, store: Store, job: Job, found: Outcome) -> dict[str, object]:
+    def keep(self, session: Session, store: Store, claim: Claim, found: Outcome) -> dict[str, object]:
         """Keep the parameter set that was found."""
         record = found.record
-        links = select(JobSession.session_id).where(JobSession.job_id == job.id)
+        links = select(JobSession.session_id).where(JobSession.job_id == claim.job_id)
         verdict = record["verdict"]
         row = ParameterSet(
             id=new_id(),
-            satellite_id=job.satellite_id,
-            magnetometer_id=job.magnetometer_id,
-            job_id=job.id,
+            satellite_id=claim.satellite_id,
+            magnetometer_id=claim.magnetometer_id,
+            job_id=claim.job_id,
             status="candidate",
             grade=verdict["grade"] if isinstance(verdict, dict) else "refuse",
             method=record["method"],

@@ -11,17 +11,20 @@ import threading
 import time
 from dataclasses import dataclass
 from datetime import datetime
+from functools import lru_cache
 from typing import Final
 
-from sqlalchemy import ColumnElement, and_, case, or_, select, update
+from sqlalchemy import ColumnElement, Select, Update, and_, bindparam, case, or_, select, update
 from sqlalchemy.orm import Session
 
-from app.database import DatabaseNow
+from app.database import DatabaseNow, JsonColumn
 from app.errors import Problem, ServiceError, problem
 from app.jobs.reprocessing import settle
 from app.jobs.tables import Job
 
 DEAD: Final = "dead"
+JOBS: Final = Job.metadata.tables["job"]
+"""Without the mapper, which costs more than what the statements of an attempt do."""
 MISSED_S: Final = 0.5
 """A heartbeat may come so much late."""
 
@@ -34,11 +37,15 @@ class LostClaimError(ServiceError):
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """The right of one attempt to work on one job."""
+    """The right of one attempt to work on one job, and what of the job it needs for that."""
 
     job_id: str
     attempt: int
     kind: str
+    lost_attempts: int
+    satellite_id: str | None
+    magnetometer_id: str | None
+    request: dict[str, object]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,10 +70,11 @@ class Sightings:
         self._seen: dict[tuple[str, int], tuple[datetime | None, float]] = {}
         self._lock = threading.Lock()
 
-    def lapsed(self, session: Session) -> ColumnElement[bool]:
-        """Return the condition that tells the jobs whose worker is lost."""
-        leases = select(Job.id, Job.attempts, Job.lease_until, Job.lease_until < DatabaseNow())
-        rows = session.execute(leases.where(Job.state == "running", Job.lease_until.is_not(None))).all()
+    def lapsed(self, session: Session) -> ColumnElement[bool] | None:
+        """Return the condition that tells the jobs whose worker is lost, None where there are none."""
+        job = JOBS.c
+        leases = select(job.id, job.attempts, job.lease_until, job.lease_until < DatabaseNow())
+        rows = session.execute(leases.where(job.state == "running", job.lease_until.is_not(None))).all()
         now_s = time.monotonic()
         with self._lock:
             before, self._seen, lost = self._seen, {}, []
@@ -76,24 +84,26 @@ class Sightings:
                 self._seen[job_id, attempt] = until, since_s
                 if now_s - since_s > (self._shortest_s if is_over else self._longest_s):
                     lost.append(job_id)
-        return and_(Job.state == "running", Job.id.in_(lost))
+        return and_(job.state == "running", job.id.in_(lost)) if lost else None
 
 
-def is_work_waiting(session: Session, lapsed: ColumnElement[bool]) -> bool:
+def is_work_waiting(session: Session, lapsed: ColumnElement[bool] | None) -> bool:
     """Return whether a job waits or has lost its worker; a look that takes no lock."""
-    return session.scalar(select(Job.id).where(or_(Job.state == "queued", lapsed)).limit(1)) is not None
+    waits = select(JOBS.c.id).where(JOBS.c.state == "queued").limit(1)
+    return lapsed is not None or session.execute(waits).first() is not None
 
 
 def claim_next(
-    session: Session, worker: str, lease_s: float, most_lost: int, lapsed: ColumnElement[bool]
+    session: Session, worker: str, lease_s: float, most_lost: int, lapsed: ColumnElement[bool] | None
 ) -> Claim | None:
     """Return a claim on a ``lapsed`` job, or else on the one whose turn it is, if there is one."""
+    if lapsed is None:
+        return _claim(session, _claiming_first(lease_s), worker)
     bury_lost(session, most_lost, lapsed)
-    held = select(Job.lock).where(Job.state == "running", ~lapsed, Job.lock.is_not(None))
-    for state in (lapsed, Job.state == "queued"):
-        free = select(Job.id).where(state, or_(Job.lock.is_(None), Job.lock.not_in(held)))
-        first = free.order_by(Job.rank, Job.id).limit(1).scalar_subquery()
-        claim = _claim(session, Job.id == first, worker, lease_s)
+    job = JOBS.c
+    held = select(job.lock).where(job.state == "running", ~lapsed, job.lock.is_not(None))
+    for state in (lapsed, job.state == "queued"):
+        claim = _claim(session, _claiming(_first(state, held), lease_s), worker)
         if claim is not None:
             return claim
     return None
@@ -101,60 +111,82 @@ def claim_next(
 
 def claim_one(session: Session, job_id: str, worker: str, lease_s: float, most_lost: int) -> Claim | None:
     """Return a claim on the job ``job_id``, unless it has ended or another attempt holds it."""
-    claim = _claim(session, and_(Job.id == job_id, Job.state == "queued"), worker, lease_s)
+    claim = _claim(session, _claiming_one(lease_s), worker, job_id)
     if claim is None:
         bury_lost(session, most_lost, lapsed_by_clock())
-        claim = _claim(session, and_(Job.id == job_id, lapsed_by_clock()), worker, lease_s)
+        claim = _claim(session, _claiming(and_(JOBS.c.id == job_id, lapsed_by_clock()), lease_s), worker)
     return claim
 
 
 def lapsed_by_clock() -> ColumnElement[bool]:
     """Return the condition that tells jobs whose lease is over by the clock of the database."""
-    return and_(Job.state == "running", Job.lease_until < DatabaseNow())
+    return and_(JOBS.c.state == "running", JOBS.c.lease_until < DatabaseNow())
 
 
-def _claim(session: Session, which: ColumnElement[bool], worker: str, lease_s: float) -> Claim | None:
-    row = session.execute(
-        update(Job)
-        .where(which)
-        .values(
-            state="running",
-            attempts=Job.attempts + 1,
-            lost_attempts=Job.lost_attempts + case((Job.state == "running", 1), else_=0),
-            lease_until=DatabaseNow(lease_s),
-            started_at=DatabaseNow(),
-            worker=worker,
-            progress=0.0,
-        )
-        .returning(Job.id, Job.attempts, Job.kind)
-        .execution_options(synchronize_session=False)
-    ).first()
+def _claim(session: Session, statement: Update, worker: str, job_id: str | None = None) -> Claim | None:
+    values = {"by_worker": worker} | ({} if job_id is None else {"of_job": job_id})
+    row = session.execute(statement, values).first()
     return None if row is None else Claim(*row)
+
+
+def _claiming(which: ColumnElement[bool], lease_s: float) -> Update:
+    """Return the statement by which a worker takes the job ``which``."""
+    job = JOBS.c
+    claimed = update(JOBS).values(
+        state="running",
+        attempts=job.attempts + 1,
+        lost_attempts=job.lost_attempts + case((job.state == "running", 1), else_=0),
+        lease_until=DatabaseNow(lease_s),
+        started_at=DatabaseNow(),
+        worker=bindparam("by_worker"),
+        progress=0.0,
+    )
+    return claimed.where(which).returning(
+        job.id, job.attempts, job.kind, job.lost_attempts, job.satellite_id, job.magnetometer_id, job.request
+    )
+
+
+@lru_cache
+def _claiming_one(lease_s: float) -> Update:
+    return _claiming(and_(JOBS.c.id == bindparam("of_job"), JOBS.c.state == "queued"), lease_s)
+
+
+@lru_cache
+def _claiming_first(lease_s: float) -> Update:
+    job = JOBS.c
+    held = select(job.lock).where(job.state == "running", job.lock.is_not(None))
+    return _claiming(_first(job.state == "queued", held), lease_s)
+
+
+def _first(state: ColumnElement[bool], held: Select[tuple[str | None]]) -> ColumnElement[bool]:
+    """Return the condition that tells the first job in ``state`` whose lock is not ``held``."""
+    job = JOBS.c
+    free = select(job.id).where(state, or_(job.lock.is_(None), job.lock.not_in(held)))
+    return job.id == free.order_by(job.rank, job.id).limit(1).scalar_subquery()
 
 
 def bury_lost(session: Session, most_lost: int, lapsed: ColumnElement[bool]) -> int:
     """Return how many ``lapsed`` jobs end here: those that lost their last worker, or were being cancelled."""
-    cancelled = _end(session, and_(lapsed, Job.cancel_requested), "cancelled", None, None)
+    cancelled = _end(session, and_(lapsed, JOBS.c.cancel_requested), "cancelled", None)
     why = problem(500, DEAD, f"the job lost its worker {most_lost} times; the last attempt gave no sign of life")
-    dead = _end(session, and_(lapsed, Job.lost_attempts + 1 >= most_lost), "failed", why, None)
+    dead = _end(session, and_(lapsed, JOBS.c.lost_attempts + 1 >= most_lost), "failed", why)
     return cancelled + dead
 
 
 def renew(session: Session, claim: Claim, lease_s: float, progress: float) -> Renewal:
     """Prolong the lease of ``claim`` and note the job's progress."""
     cancelled = session.execute(
-        update(Job)
+        update(JOBS)
         .where(_holds(claim))
         .values(lease_until=DatabaseNow(lease_s), progress=progress)
-        .returning(Job.cancel_requested)
-        .execution_options(synchronize_session=False)
+        .returning(JOBS.c.cancel_requested)
     ).scalar()
     return Renewal(cancelled is not None, bool(cancelled))
 
 
 def is_cancelled(session: Session, claim: Claim) -> bool:
     """Return whether the job is to be cancelled, or is no longer the claim's."""
-    wanted = session.execute(select(Job.cancel_requested).where(_holds(claim))).scalar()
+    wanted = session.execute(select(JOBS.c.cancel_requested).where(_holds(claim))).scalar()
     return wanted is None or wanted
 
 
@@ -172,42 +204,51 @@ def finish(
     LostClaimError
         The claim no longer holds; the transaction must not be committed.
     """
-    if not _end(session, _holds(claim), state, error, result):
+    held = {"of_job": claim.job_id, "of_attempt": claim.attempt}
+    ended = session.execute(FINISH, held | {"to_state": state, "why": error, "found": result}).first()
+    if ended is None:
         raise LostClaimError(f"attempt {claim.attempt} no longer holds job {claim.job_id}")
+    if ended.parent_id is not None:
+        settle(session, ended.parent_id)
 
 
 def hand_back(session: Session, claim: Claim, *, is_lost: bool) -> None:
     """Let another attempt have the job; ``is_lost`` counts this one as lost."""
     session.execute(
-        update(Job)
+        update(JOBS)
         .where(_holds(claim))
-        .values(state="queued", lease_until=None, worker=None, lost_attempts=Job.lost_attempts + int(is_lost))
-        .execution_options(synchronize_session=False)
+        .values(state="queued", lease_until=None, worker=None, lost_attempts=JOBS.c.lost_attempts + int(is_lost))
     )
 
 
 def _holds(claim: Claim) -> ColumnElement[bool]:
-    return and_(Job.id == claim.job_id, Job.attempts == claim.attempt, Job.state == "running")
+    job = JOBS.c
+    return and_(job.id == claim.job_id, job.attempts == claim.attempt, job.state == "running")
 
 
-def _end(
-    session: Session,
-    which: ColumnElement[bool],
-    state: str,
-    error: Problem | None,
-    result: dict[str, object] | None,
-) -> int:
-    values: dict[str, object] = {
-        "state": state,
-        "error": error,
-        "result": result,
-        "lease_until": None,
-        "finished_at": DatabaseNow(),
-    }
-    if state == "succeeded":
-        values["progress"] = 1.0
-    ended = update(Job).where(which).values(values).returning(Job.parent_id)
-    parents = session.scalars(ended.execution_options(synchronize_session=False)).all()
+def _end(session: Session, which: ColumnElement[bool], state: str, error: Problem | None) -> int:
+    ended = _ending(which).values(state=state, error=error).returning(JOBS.c.parent_id)
+    parents = session.scalars(ended).all()
     for parent_id in set(parents) - {None}:
         settle(session, str(parent_id))
     return len(parents)
+
+
+def _ending(which: ColumnElement[bool]) -> Update:
+    return update(JOBS).where(which).values(lease_until=None, finished_at=DatabaseNow())
+
+
+_HELD: Final = and_(
+    JOBS.c.id == bindparam("of_job"), JOBS.c.attempts == bindparam("of_attempt"), JOBS.c.state == "running"
+)
+FINISH: Final = (
+    _ending(_HELD)
+    .values(
+        state=bindparam("to_state"),
+        error=bindparam("why", type_=JsonColumn),
+        result=bindparam("found", type_=JsonColumn),
+        progress=case((bindparam("to_state") == "succeeded", 1.0), else_=JOBS.c.progress),
+    )
+    .returning(JOBS.c.parent_id)
+)
+"""Made once: to make it costs more than to execute it."""

@@ -13,13 +13,15 @@ import os
 import queue
 import socket
 import threading
+import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import procrastinate
 import structlog
 from procrastinate.exceptions import ConnectorException
-from sqlalchemy import and_, column, make_url, or_, select, table, text
+from sqlalchemy import TextClause, and_, column, make_url, or_, select, table, text
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
@@ -38,9 +40,28 @@ LOST_SIGHT_S: Final = 1.0
 """A job whose lease ran out so long ago, and that procrastinate does not hand out, is handed out again."""
 MOST_AT_ONCE: Final = 100
 RESTART_S: Final = 1.0
+ROUND_S: Final = 2.0
+"""So long a worker goes on to take jobs before procrastinate's own loop has its turn."""
 
 log = structlog.get_logger()
 handed_out = table("procrastinate_jobs", column("id"), column("status"))
+FETCH: Final = text(
+    "SELECT id, args ->> 'job_id' AS job_id "
+    "FROM procrastinate_fetch_job_v2(CAST(ARRAY['magcal'] AS varchar[]), :worker_id)"
+)
+END: Final = text(
+    "SELECT procrastinate_finish_job_v1(id, 'succeeded', true) FROM procrastinate_jobs "
+    "WHERE id = :queue_id AND status IN ('todo', 'doing')"
+)
+UNLOCK: Final = text("UPDATE procrastinate_jobs SET lock = NULL WHERE id = :queue_id")
+
+
+@dataclass(frozen=True, slots=True)
+class Handed:
+    """A row of procrastinate's that this worker has in hand, and the claim on its job where that can be had."""
+
+    queue_id: int
+    claim: Claim | None
 
 
 class ClusterQueue:
@@ -103,14 +124,18 @@ class ClusterWorkers:
     def stop(self, grace_s: float) -> None:
         """Take no more jobs; give those that run ``grace_s`` seconds, then hand them back."""
         self._stopping.set()
-        if self._loop is not None and self._running is not None:
-            self._loop.call_soon_threadsafe(self._running.cancel)
+        self._interrupt()
         self._thread.join(grace_s)
         for executor in self._executors:
             executor.close()
         self._thread.join()
         for executor in self._executors:
             executor.calculator.kill()
+
+    def _interrupt(self) -> None:
+        """End procrastinate's worker; unless the workers are stopping, another begins in its place."""
+        if self._loop is not None and self._running is not None:
+            self._loop.call_soon_threadsafe(self._running.cancel)
 
     async def _run(self) -> None:
         self._loop = asyncio.get_running_loop()
@@ -119,7 +144,7 @@ class ClusterWorkers:
             try:
                 await self._running
             except asyncio.CancelledError:
-                return
+                log.info("worker_ended", is_stopping=self._stopping.is_set())
             except Exception:  # the worker's loop: it starts anew when the database is back
                 log.exception("worker_interrupted")
                 await asyncio.sleep(RESTART_S)
@@ -128,7 +153,7 @@ class ClusterWorkers:
         settings = self._settings
         conninfo = make_url(settings.url).set(drivername="postgresql").render_as_string(hide_password=False)
         app = procrastinate.App(connector=procrastinate.PsycopgConnector(conninfo=conninfo, max_size=self._count + 4))
-        app.task(name=TASK)(self._job)
+        app.task(name=TASK, pass_context=True)(self._job)
         async with app.open_async():
             sweeping = asyncio.create_task(self._sweep(app))
             try:
@@ -147,24 +172,69 @@ class ClusterWorkers:
                 with contextlib.suppress(asyncio.CancelledError):
                     await sweeping
 
-    async def _job(self, job_id: str) -> None:
-        """Work on a job, unless it has ended or another attempt holds it."""
-        await asyncio.to_thread(self._attempt, job_id)
+    async def _job(self, context: procrastinate.JobContext, job_id: str) -> None:
+        """Work on a job, unless it has ended or another attempt holds it, and on those that come next."""
+        await asyncio.to_thread(self._take, job_id, context.job)
 
-    def _attempt(self, job_id: str) -> None:
+    def _take(self, job_id: str, handed: procrastinate.jobs.Job) -> None:
         claim = outlasting(lambda: self._claim(job_id), PATIENCE_S, self._stopping.wait)
-        if claim is None:
-            return
         executor = self._free.get()
         try:
-            executor.execute(claim)
+            if claim is not None:
+                executor.execute(claim)
+            if handed.worker_id is not None and handed.id is not None:
+                self._go_on(executor, handed.worker_id, handed.id)
+        except SQLAlchemyError as error:
+            # Which rows are in hand is no longer sure: those of a worker that has ended are handed out again.
+            log.warning("round_ended", error=str(error))
+            self._interrupt()
         finally:
             self._free.put(executor)
 
     def _claim(self, job_id: str) -> Claim | None:
         with self._database.write() as session:
-            most_lost = self._settings.job_attempts
-            return claim_one(session, job_id, self._name, self._settings.job_lease_s, most_lost)
+            return self._claim_in(session, job_id)
+
+    def _claim_in(self, session: Session, job_id: str) -> Claim | None:
+        return claim_one(session, job_id, self._name, self._settings.job_lease_s, self._settings.job_attempts)
+
+    def _go_on(self, executor: Executor, worker_id: int, first_id: int) -> None:
+        """Take what procrastinate hands out next with two transactions a job, where its own loop needs several more.
+
+        The first row stays procrastinate's to end, so only its lock is let go; the others are ended here.
+        """
+        until = time.monotonic() + ROUND_S
+        leave: TextClause | None = UNLOCK
+        before = first_id
+        try:
+            while leave is not None and time.monotonic() < until and not self._stopping.is_set():
+                handed = self._next(worker_id, leave, before)
+                leave = None if handed is None else END
+                if handed is not None:
+                    before = handed.queue_id
+                    if handed.claim is not None:
+                        executor.execute(handed.claim)
+        finally:
+            if leave is END:
+                self._leave(before)
+
+    def _next(self, worker_id: int, leave: TextClause, before: int) -> Handed | None:
+        """Return what procrastinate hands out next; the row ``before`` is left in the same transaction."""
+
+        def fetch() -> Handed | None:
+            with self._database.write() as session:
+                session.execute(leave, {"queue_id": before})
+                row = session.execute(FETCH, {"worker_id": worker_id}).one()
+                return None if row.id is None else Handed(row.id, self._claim_in(session, row.job_id))
+
+        return outlasting(fetch, PATIENCE_S, self._stopping.wait)
+
+    def _leave(self, queue_id: int) -> None:
+        def end() -> None:
+            with self._database.write() as session:
+                session.execute(END, {"queue_id": queue_id})
+
+        outlasting(end, PATIENCE_S, self._stopping.wait)
 
     async def _sweep(self, app: procrastinate.App) -> None:
         """Hand out again, every few seconds, what a lost worker held."""

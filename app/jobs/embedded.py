@@ -78,9 +78,11 @@ class EmbeddedWorkers:
             executor.calculator.kill()
 
     def _work(self, executor: Executor, name: str) -> None:
+        is_busy = False
         while not self._stopping.is_set():
             seen = self._queue.announced
-            claim = self._claim(name)
+            claim = self._claim(name, is_busy)
+            is_busy = claim is not None
             if claim is not None:
                 executor.execute(claim)
                 continue
@@ -88,10 +90,11 @@ class EmbeddedWorkers:
                 if self._queue.announced == seen and not self._stopping.is_set():
                     self._queue.news.wait(self._settings.job_poll_s)
 
-    def _claim(self, name: str) -> Claim | None:
+    def _claim(self, name: str, is_busy: bool) -> Claim | None:
+        """Return the next claim; one who is not busy looks first whether there is work, which takes no lock."""
         try:
             with self._database.read() as session:
-                if not is_work_waiting(session, self._sightings.lapsed(session)):
+                if not (is_busy or is_work_waiting(session, self._sightings.lapsed(session))):
                     return None
             with self._database.write() as session:
                 lapsed = self._sightings.lapsed(session)

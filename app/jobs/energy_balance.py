@@ -14,10 +14,10 @@ from sqlalchemy.orm import Session
 
 from app.errors import NotFoundError
 from app.jobs.child import Outcome, Report
+from app.jobs.claims import Claim
 from app.jobs.kind import Admission, WrongKindError
 from app.jobs.schemas import Identifier, JobBody
 from app.jobs.series import SERIES_POINTS, keep_series
-from app.jobs.tables import Job
 from app.keys.repository import SYSTEM, Caller
 from app.orbits.parsing import orbit_of, parse_message
 from app.orbits.repository import OrbitRepository
@@ -118,17 +118,17 @@ class EnergyKind:
     def check(self, session: Session, admission: Admission) -> None:
         """Nothing is left to check: the orbit and the options are sound."""
 
-    def load(self, session: Session, store: Store, job: Job) -> EnergyWork:
-        """Return the orbit and the options of ``job``."""
-        options = dict(job.request)
+    def load(self, session: Session, store: Store, claim: Claim) -> EnergyWork:
+        """Return the orbit and the options of the claimed job."""
+        options = dict(claim.request)
         content, orbit_id = options.pop("source", None), options.pop("orbit_id", None)
         if orbit_id is not None:
-            content = OrbitRepository(session, SYSTEM, str(job.satellite_id)).get(str(orbit_id)).content
+            content = OrbitRepository(session, SYSTEM, str(claim.satellite_id)).get(str(orbit_id)).content
         return EnergyWork(str(content), options)
 
-    def keep(self, session: Session, store: Store, job: Job, found: Outcome) -> dict[str, object]:
+    def keep(self, session: Session, store: Store, claim: Claim, found: Outcome) -> dict[str, object]:
         """Keep the series and return the summary."""
-        return found.record | {"series": keep_series(session, store, job, found.blobs["series"])}
+        return found.record | {"series": keep_series(session, store, claim.job_id, found.blobs["series"])}
 
 
 def _source(session: Session, caller: Caller, body: EnergyBody) -> _Source:

@@ -101,12 +101,11 @@ class Executor:
 
     def _load(self, claim: Claim, kind: JobKind) -> object:
         with self._database.read() as session:
-            return kind.load(session, self._store, session.get_one(Job, claim.job_id))
+            return kind.load(session, self._store, claim)
 
     def _keep(self, claim: Claim, found: Outcome) -> str:
         with self._database.write() as session:
-            job = session.get_one(Job, claim.job_id)
-            result = JOB_KINDS[claim.kind].keep(session, self._store, job, found)
+            result = JOB_KINDS[claim.kind].keep(session, self._store, claim, found)
             finish(session, claim, "succeeded", result=result)
         return "succeeded"
 
@@ -134,9 +133,8 @@ class Executor:
 
     def _lose(self, claim: Claim, error: ChildDiedError) -> str:
         with self._database.write() as session:
-            job = session.get_one(Job, claim.job_id)
-            if job.lost_attempts + 1 >= self._settings.job_attempts:
-                detail = f"{error.message}; {job.lost_attempts + 1} attempts ended like this"
+            if claim.lost_attempts + 1 >= self._settings.job_attempts:
+                detail = f"{error.message}; {claim.lost_attempts + 1} attempts ended like this"
                 finish(session, claim, "failed", error=problem(500, "dead", detail))
                 return "dead"
             self._hand_back(session, claim, is_lost=True)

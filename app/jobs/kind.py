@@ -10,8 +10,8 @@ from sqlalchemy.orm import Session
 
 from app.errors import ServiceError
 from app.jobs.child import Outcome
+from app.jobs.claims import Claim
 from app.jobs.schemas import JobBody
-from app.jobs.tables import Job
 from app.keys.repository import Caller
 from app.store import Store
 
@@ -61,10 +61,10 @@ class JobKind(Protocol):
         """Raise what would make the job fail for certain, so that the request is refused at once."""
         ...
 
-    def load(self, session: Session, store: Store, job: Job) -> object:
+    def load(self, session: Session, store: Store, claim: Claim) -> object:
         """Return what the calculation works on: plain data that goes to another process."""
         ...
 
-    def keep(self, session: Session, store: Store, job: Job, found: Outcome) -> dict[str, object]:
+    def keep(self, session: Session, store: Store, claim: Claim, found: Outcome) -> dict[str, object]:
         """Keep what was found in the transaction that ends the job, and return the job's ``result``."""
         ...

@@ -15,14 +15,14 @@ SERIES_POINTS: Final = 2000
 """Most rows of a job's series."""
 
 
-def keep_series(session: Session, store: Store, job: Job, content: bytes) -> dict[str, object]:
+def keep_series(session: Session, store: Store, job_id: str, content: bytes) -> dict[str, object]:
     """Keep a job's series, a table as `to_bytes` writes it, and return what the job's result says of it."""
     table = from_bytes(content)
     return {
-        "sha256": store.put(session, series_key(job.id), content),
+        "sha256": store.put(session, series_key(job_id), content),
         "rows": table.num_rows,
         "columns": table.column_names,
-        "href": f"/api/v1/jobs/{job.id}/series",
+        "href": f"/api/v1/jobs/{job_id}/series",
     }
 
 
