@@ -9,8 +9,9 @@ from __future__ import annotations
 import os
 import statistics
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -18,7 +19,7 @@ from sqlalchemy import func, select
 
 from app.database import Database, new_id, utc_now
 from app.jobs.attitude_simulation import AttitudeBody
-from app.jobs.claims import claim_next, finish
+from app.jobs.claims import Sightings, claim_next, finish
 from app.jobs.engine import open_engine
 from app.jobs.repository import JobRepository
 from app.jobs.tables import Job
@@ -29,7 +30,7 @@ from app.satellites.tables import Satellite
 from app.settings import Settings
 from app.store import open_store
 from benchmarks.measure import Figure
-from benchmarks.service import postgres, process, scratch
+from benchmarks.service import TICKS, postgres, process, scratch
 
 ROOM: Final = "queue"
 JOBS: Final = int(os.environ.get("MAGCAL_BENCH_JOBS", "400"))
@@ -42,12 +43,20 @@ CLAIM_AIM_MS: Final = 20.0
 PATIENCE_S: Final = 240.0
 
 
+@dataclass(frozen=True, slots=True)
+class Throughput:
+    """Jobs a second, and the processor time of one in its worker and below it, ms."""
+
+    rate: float
+    worker_ms: float
+    child_ms: float
+
+
 def figures() -> Iterator[Figure]:
     """Yield the figures of this room."""
     with scratch() as folder:
         settings = Settings(data_dir=folder / "embedded")
-        rate = _throughput(settings, folder, JOBS // 2, 1, "2")
-        yield _figure("one process on SQLite, 2 job workers", rate, 30.0)
+        yield _figure("one process on SQLite, 2 job workers", _throughput(settings, folder, JOBS // 2, 1, "2"), 30.0)
     with scratch() as folder, postgres(folder) as url:
         settings = Settings(data_dir=folder / "data", database_url=url)
         for workers, aim in ((1, None), (2, 100.0), (4, None)):
@@ -57,8 +66,12 @@ def figures() -> Iterator[Figure]:
         yield from _claims(Settings(data_dir=folder))
 
 
-def _figure(where: str, rate: float, aim: float | None) -> Figure:
-    note = "first claim to last result, each job some ms of calculation"
+def _figure(where: str, found: Throughput, aim: float | None) -> Figure:
+    rate = found.rate
+    note = (
+        f"first claim to last result; each job {found.worker_ms:.1f} ms of its worker's processor "
+        f"and {found.child_ms:.1f} ms of its calculation's"
+    )
     return Figure(
         ROOM,
         f"small jobs, {where}",
@@ -70,23 +83,42 @@ def _figure(where: str, rate: float, aim: float | None) -> Figure:
     )
 
 
-def _throughput(settings: Settings, folder: Path, count: int, workers: int, concurrency: str = "1") -> float:
-    """Return jobs a second of ``count`` jobs over ``workers`` processes."""
+def _throughput(settings: Settings, folder: Path, count: int, workers: int, concurrency: str = "1") -> Throughput:
+    """Return how ``count`` jobs pass over ``workers`` processes."""
     database = Database(settings)
     upgrade(database, settings)
     environment = {"MAGCAL_DATA_DIR": str(settings.data_dir)}
     if settings.database_url is not None:
         environment["MAGCAL_DATABASE_URL"] = settings.database_url
     with ExitStack() as running:
-        for _ in range(workers):
-            running.enter_context(process(folder, environment, "worker", "--concurrency", concurrency))
+        command = ("worker", "--concurrency", concurrency)
+        pids = [running.enter_context(process(folder, environment, *command)).pid for _ in range(workers)]
         _submit(database, settings, WARM_UP * workers * int(concurrency))
         _wait(database)
+        before = _cpu_s(pids)
         ids = _submit(database, settings, count)
         _wait(database)
+        worker_ms, child_ms = (1e3 * (now - then) / count for now, then in zip(_cpu_s(pids), before, strict=True))
     rate = _rate(database, ids)
     database.close()
-    return rate
+    return Throughput(rate, worker_ms, child_ms)
+
+
+def _cpu_s(pids: Sequence[int]) -> tuple[float, float]:
+    """Return the processor time of processes and of those below them, s."""
+    own, family = {}, {}
+    for entry in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = entry.read_text().rpartition(")")[2].split()
+        except (FileNotFoundError, ProcessLookupError):
+            continue  # it ended meanwhile
+        own[int(entry.parent.name)] = sum(map(int, fields[11:13])) / TICKS
+        family[int(entry.parent.name)] = int(fields[1])
+    below, reached = set(pids), 0
+    while len(below) > reached:
+        reached = len(below)
+        below |= {pid for pid, parent in family.items() if parent in below}
+    return sum(own[pid] for pid in pids), sum(own[pid] for pid in below.difference(pids))
 
 
 def _submit(database: Database, settings: Settings, count: int) -> list[str]:
@@ -118,7 +150,7 @@ def _rate(database: Database, ids: list[str]) -> float:
     with database.read() as session:
         times = select(func.min(Job.started_at), func.max(Job.finished_at), func.count())
         first, last, count = session.execute(times.where(ours, Job.state == "succeeded")).one()
-    if count != len(ids):
+    if count != len(ids) or first is None or last is None:
         raise RuntimeError(f"{len(ids) - count} jobs did not succeed")
     return float(count / (last - first).total_seconds())
 
@@ -135,11 +167,12 @@ def _claims(settings: Settings) -> Iterator[Figure]:
         jobs = [_waiting(name) for name in owners]
         take_turns(session, jobs)
         session.add_all(jobs)
+    sightings = Sightings(settings.job_lease_s, settings.job_heartbeat_s)
     durations_ms, satellites = [], []
     for _ in range(CLAIMS):
         begun = time.perf_counter()
         with database.write() as session:
-            claim = claim_next(session, "bench", 10.0, 3)
+            claim = claim_next(session, "bench", settings.job_lease_s, settings.job_attempts, sightings.lapsed(session))
         durations_ms.append(1e3 * (time.perf_counter() - begun))
         if claim is None:
             raise RuntimeError("nothing to claim")
