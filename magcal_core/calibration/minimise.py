@@ -77,40 +77,46 @@ def minimise(evaluate: Evaluate, theta: Floats, floor: float, limit: int = MAX_E
 
 
 @njit(cache=True, nogil=True)
-def damped_step(  # noqa: PLR0912
-    normal: Floats, gradient: Floats, damping: float, step: Floats
+def solve_positive(  # noqa: PLR0912 - one straight derivation
+    matrix: Floats, right: Floats, damping: float, smallest: float, out: Floats
 ) -> bool:  # pragma: no cover - compiled
-    """Leave -(N + damping diag N)^-1 gradient in ``step``; False where the matrix is singular.
+    """Leave (N + damping diag N)^-1 ``right`` in ``out``; False where no pivot above ``smallest`` is left.
 
-    Cholesky of the matrix scaled to a unit diagonal.
+    ``matrix``: N, shape (p, p), of which the lower half is read. Cholesky of N scaled to a unit diagonal.
     """
-    p = gradient.size
+    p = right.size
     size, factor = np.empty(p), np.empty((p, p))
     for i in range(p):
-        if not normal[i, i] > 0.0 or not np.isfinite(normal[i, i]):
+        if not matrix[i, i] > 0.0 or not np.isfinite(matrix[i, i]):
             return False
-        size[i] = math.sqrt(normal[i, i])
+        size[i] = math.sqrt(matrix[i, i])
     for i in range(p):
         for j in range(i + 1):
-            total = normal[i, j] / (size[i] * size[j]) if i != j else 1.0 + damping
+            total = matrix[i, j] / (size[i] * size[j]) if i != j else 1.0 + damping
             for k in range(j):
                 total -= factor[i, k] * factor[j, k]
             if i == j:
-                if not total > (_SINGULAR if damping == 0.0 else 0.0):
+                if not total > smallest:
                     return False
                 factor[i, i] = math.sqrt(total)
             else:
                 factor[i, j] = total / factor[j, j]
     for i in range(p):
-        total = -gradient[i] / size[i]
+        total = right[i] / size[i]
         for k in range(i):
-            total -= factor[i, k] * step[k]
-        step[i] = total / factor[i, i]
+            total -= factor[i, k] * out[k]
+        out[i] = total / factor[i, i]
     for i in range(p - 1, -1, -1):
-        total = step[i]
+        total = out[i]
         for k in range(i + 1, p):
-            total -= factor[k, i] * step[k]
-        step[i] = total / factor[i, i]
+            total -= factor[k, i] * out[k]
+        out[i] = total / factor[i, i]
     for i in range(p):
-        step[i] /= size[i]
+        out[i] /= size[i]
     return True
+
+
+@njit(cache=True, nogil=True)
+def damped_step(normal: Floats, gradient: Floats, damping: float, step: Floats) -> bool:  # pragma: no cover - compiled
+    """Leave -(N + damping diag N)^-1 gradient in ``step``, shape (p,); False where the matrix is singular."""
+    return solve_positive(normal, -gradient, damping, _SINGULAR if damping == 0.0 else 0.0, step)

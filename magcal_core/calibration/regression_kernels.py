@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from magcal_core.calibration.kernels import LOSSES, TUNING, add_products, loss_of
 from magcal_core.calibration.medians import median_size
+from magcal_core.calibration.minimise import solve_positive
 
 Floats = NDArray[np.float64]
 
@@ -104,43 +105,6 @@ def _subtract(
 
 
 @njit(cache=True, nogil=True)
-def solve_positive(  # noqa: PLR0912 - one straight derivation
-    matrix: Floats, right: Floats, out: Floats
-) -> bool:  # pragma: no cover - compiled
-    """Leave ``matrix``^-1 ``right`` in ``out``; False where it is singular. Cholesky, scaled to a unit diagonal."""
-    p = right.size
-    size, factor = np.empty(p), np.empty((p, p))
-    for i in range(p):
-        if not matrix[i, i] > 0.0 or not np.isfinite(matrix[i, i]):
-            return False
-        size[i] = math.sqrt(matrix[i, i])
-    for i in range(p):
-        for j in range(i + 1):
-            left = matrix[j, i] / (size[i] * size[j])
-            for k in range(j):
-                left -= factor[i, k] * factor[j, k]
-            if i == j:
-                if not left > _SINGULAR:
-                    return False
-                factor[i, i] = math.sqrt(left)
-            else:
-                factor[i, j] = left / factor[j, j]
-    for i in range(p):
-        left = right[i] / size[i]
-        for k in range(i):
-            left -= factor[i, k] * out[k]
-        out[i] = left / factor[i, i]
-    for i in range(p - 1, -1, -1):
-        left = out[i]
-        for k in range(i + 1, p):
-            left -= factor[k, i] * out[k]
-        out[i] = left / factor[i, i]
-    for i in range(p):
-        out[i] /= size[i]
-    return True
-
-
-@njit(cache=True, nogil=True)
 def _changes(total: Floats, takes: NDArray[np.bool_], change: Floats) -> bool:  # pragma: no cover - compiled
     """Leave what the moments add to the coefficients, shape (3, c + 1), in ``change``; False where singular."""
     c = takes.shape[1]
@@ -157,9 +121,9 @@ def _changes(total: Floats, takes: NDArray[np.bool_], change: Floats) -> bool:  
         matrix, right, out = np.empty((p, p)), np.empty(p), np.empty(p)
         for i in range(p):
             for j in range(i, p):
-                matrix[i, j] = total[at[i], at[j]]
+                matrix[j, i] = total[at[i], at[j]]
             right[i] = total[at[i], c + 1 + axis]
-        if not solve_positive(matrix, right, out):
+        if not solve_positive(matrix, right, 0.0, _SINGULAR, out):
             return False
         for i in range(p):
             change[axis, at[i]] = out[i]
