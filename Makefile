@@ -11,12 +11,13 @@ KERNELS := $(VENV)/.kernels
 help:            ## this list
 	@grep -hE '^[a-z]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 12
 
-system:          ## the two system packages that the tests need, where they are not: a Chromium, and strace
+system:          ## the system packages that the tests need, where they are not: a Chromium, strace, a C compiler
 	@wanted=; \
 	command -v chromium chromium-browser google-chrome >/dev/null || wanted="chromium fonts-dejavu-core"; \
 	command -v strace >/dev/null || wanted="$$wanted strace"; \
+	command -v cc gcc >/dev/null || wanted="$$wanted gcc libc6-dev"; \
 	if [ -n "$$wanted" ]; then \
-	  echo "installing $$wanted (a real browser, and what a power loss would leave)"; \
+	  echo "installing $$wanted (a real browser, what a power loss would leave, flight software)"; \
 	  as_root=$$([ "$$(id -u)" = 0 ] || echo sudo); \
 	  $$as_root apt-get update -qq && \
 	  DEBIAN_FRONTEND=noninteractive $$as_root apt-get install -y -qq --no-install-recommends $$wanted >/dev/null; \

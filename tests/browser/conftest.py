@@ -119,8 +119,7 @@ def telemetry(tmp_path_factory: pytest.TempPathFactory, data_dir: Path) -> list[
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
     engine = next((found for name in BROWSERS if (found := shutil.which(name))), None)
-    if engine is None:
-        pytest.skip("no Chromium is installed; `make system` installs one")
+    assert engine is not None, "no Chromium is installed; `make system` installs one"
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=engine, args=FLAGS)
         yield browser

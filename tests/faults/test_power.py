@@ -134,11 +134,13 @@ def play(disk: Disk, name: str, text: str, path: str, root: Path) -> None:
             disk.write(path, at, strings(text)[0])
 
 
-@pytest.mark.skipif(shutil.which("strace") is None, reason="strace is not installed: it shows what was synced when")
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("store", ["database", "folder"])
 def test_what_is_acknowledged_is_on_the_disk_and_not_only_on_its_way(tmp_path: Path, telemetry: bytes, store: str):
     """Of 20 uploads, each is found after a power loss at the moment of its acknowledgement; none could be otherwise."""
+    assert shutil.which("strace"), (
+        "strace, which shows what was synced when, is not installed; `make system` installs it"
+    )
     site, root = Site(tmp_path, None), tmp_path / "data"
     if store == "folder":
         site.environment["MAGCAL_STORE_URL"] = f"file://{root}/store"

@@ -17,10 +17,10 @@ class Elements:
     model: str = "sgp4"
 
     def position_itrf_km(self, t_utc: np.ndarray) -> np.ndarray:
-        raise NotImplementedError
+        raise AssertionError("an orbit is chosen by its epoch, not by where it is")
 
     def state_gcrf(self, t_utc: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        raise NotImplementedError
+        raise AssertionError("an orbit is chosen by its epoch, not by where it is")
 
 
 @dataclass
