@@ -110,4 +110,4 @@ def figures(runs: int = 200) -> Iterator[Figure]:
         found = scatter_of(name, clean, truth, 1000.0, runs)
         worst, raw = float(np.abs(found.unpredicted).max()), float(np.abs(found.bias).max())
         note = f"1000 nT; {raw:.1f} before the predicted bias is taken off"
-        yield Figure("montecarlo", f"{name}: worst bias at 1000 nT", worst, "std errors", "<= 3.5", worst <= 3.5, note)
+        yield Figure("montecarlo", f"{name}: worst bias at 1000 nT", worst, "std errors", "<= 3", worst <= 3, note)
