@@ -13,7 +13,11 @@ from magcal_core.telemetry import write_samples
 
 sys.path.insert(0, str(Path(__file__).parent))  # the processes of a site import what is planted in them from here
 
-from faultsite import Site
+from faultsite import SEED, TRIALS, Site
+
+
+def pytest_report_header() -> str:
+    return f"faults: {TRIALS} trials of each kill, seed {SEED}"
 
 
 @pytest.fixture(params=["sqlite", pytest.param("postgres", marks=pytest.mark.postgres)])

@@ -14,6 +14,8 @@ import httpx2
 
 from app.demo.mission import tle_text
 
+TRIALS = int(os.environ.get("MAGCAL_FAULT_TRIALS", "1"))
+SEED = int(os.environ.get("MAGCAL_FAULT_SEED", "1"))
 LAUNCH = Path(__file__).with_name("launch.py")
 CSV = {"content-type": "text/csv"}
 
@@ -113,6 +115,11 @@ def _answers(client: httpx2.Client) -> bool:
         return client.get("/healthz").status_code == 200
     except httpx2.TransportError:
         return False
+
+
+def piece(telemetry: bytes, number: int) -> bytes:
+    """Return a pass that no other number has: the first rows of ``telemetry``."""
+    return b"".join(telemetry.splitlines(keepends=True)[: 20 + number % 600]) + b"\n" * (number // 600)
 
 
 def prepare(api: httpx2.Client) -> None:

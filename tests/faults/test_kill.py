@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import random
 import signal
 import socket
@@ -11,23 +10,24 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from faultsite import CSV, Site, prepare, submit, upload, wait_for
+from faultsite import CSV, SEED, TRIALS, Site, piece, prepare, submit, upload, wait_for
 
-TRIALS = int(os.environ.get("MAGCAL_FAULT_TRIALS", "1"))
-SEED = int(os.environ.get("MAGCAL_FAULT_SEED", "1"))
+ALL = {"limit": 1000}
+LONG = pytest.mark.timeout(600 + 60 * TRIALS)
 
 
 def results(api, job_id) -> list[dict]:
     return api.get("/parameter-sets", params={"job": job_id}).json()["items"]
 
 
-@pytest.mark.timeout(600)
-def test_a_killed_worker_loses_no_job_and_doubles_no_result(site: Site, telemetry: bytes):
+@LONG
+def test_a_killed_worker_loses_no_job_and_doubles_no_result(site: Site, telemetry: bytes, record_property):
     """F1: the job restarts within 15 s of the kill, and gives the numbers of an undisturbed one."""
     chance = random.Random(SEED)  # noqa: S311
     slow = {"FAULT_CALCULATION": "slow", "PLANTED_S": "2"}
     server, url = site.serve(workers=0)
     working = {worker.pid: worker for worker in (site.worker(**slow), site.worker(**slow))}
+    restarts_s = []
     with site.client(url) as api:
         prepare(api)
         session_id = upload(api, telemetry).json()["id"]
@@ -42,7 +42,8 @@ def test_a_killed_worker_loses_no_job_and_doubles_no_result(site: Site, telemetr
             while api.get(f"/jobs/{job_id}").json()["attempts"] < 2:
                 assert time.monotonic() - killed_at < 30.0
                 time.sleep(0.05)
-            assert time.monotonic() - killed_at <= 15.0
+            restarts_s.append(round(time.monotonic() - killed_at, 1))
+            assert restarts_s[-1] <= 15.0
             job = wait_for(api, job_id, "succeeded", "failed")
             assert (job["state"], job["attempts"]) == ("succeeded", 2), job["error"]
             found = results(api, job_id)
@@ -52,34 +53,41 @@ def test_a_killed_worker_loses_no_job_and_doubles_no_result(site: Site, telemetr
             assert found[0]["covariance"] == expected["covariance"]
             standby = site.worker(**slow)
             working[standby.pid] = standby
+    record_property("restarts_s", restarts_s)
     assert server.poll() is None
 
 
-@pytest.mark.timeout(600)
+@LONG
 def test_a_paused_worker_cannot_end_the_job_that_another_took_over(site: Site, telemetry: bytes):
     """F2: with a lease of 2 s the first worker sleeps through it, wakes, and its result is rolled back."""
     short = {"MAGCAL_JOB_LEASE_S": "2", "MAGCAL_JOB_HEARTBEAT_S": "0.5"}
     _, url = site.serve(workers=0)
-    first = site.worker(FAULT_CALCULATION="slow", PLANTED_S="1", **short)
     with site.client(url) as api:
         prepare(api)
-        job_id = submit(api, upload(api, telemetry).json()["id"])
-        wait_for(api, job_id, "running")
-        first.send_signal(signal.SIGSTOP)
-        site.worker(**short)
-        job = wait_for(api, job_id, "succeeded", "failed")
-        assert (job["state"], job["attempts"]) == ("succeeded", 2)
-        first.send_signal(signal.SIGCONT)
-        deadline = time.monotonic() + 20.0
-        while not any(one.get("event") == "job_ended" for one in site.log(first)):
-            assert time.monotonic() < deadline, site.raw_log(first)
-            time.sleep(0.1)
-        ends = [one["state"] for one in site.log(first) if one.get("event") == "job_ended"]
-        assert ends == ["lost"]
-        assert api.get(f"/jobs/{job_id}").json() == job
-        assert len(results(api, job_id)) == 1
+        session_id = upload(api, telemetry).json()["id"]
+        for _ in range(TRIALS):
+            first = site.worker(FAULT_CALCULATION="slow", PLANTED_S="1", **short)
+            job_id = submit(api, session_id)
+            wait_for(api, job_id, "running")
+            first.send_signal(signal.SIGSTOP)
+            second = site.worker(**short)
+            job = wait_for(api, job_id, "succeeded", "failed")
+            assert (job["state"], job["attempts"]) == ("succeeded", 2)
+            first.send_signal(signal.SIGCONT)
+            deadline = time.monotonic() + 20.0
+            while not any(one.get("event") == "job_ended" for one in site.log(first)):
+                assert time.monotonic() < deadline, site.raw_log(first)
+                time.sleep(0.1)
+            ends = [one["state"] for one in site.log(first) if one.get("event") == "job_ended"]
+            assert ends == ["lost"]
+            assert api.get(f"/jobs/{job_id}").json() == job
+            assert len(results(api, job_id)) == 1
+            for worker in (first, second):
+                worker.terminate()
+                assert worker.wait(60) == 0
 
 
+@LONG
 def test_a_server_killed_in_the_middle_of_an_upload_has_kept_nothing(site: Site, telemetry: bytes):
     """F3: half of a body, then the kill; after the restart there is no session, and the retry makes one."""
     server, url = site.serve(workers=0)
@@ -105,36 +113,40 @@ def test_a_server_killed_in_the_middle_of_an_upload_has_kept_nothing(site: Site,
         assert upload(api, telemetry).status_code == 201
 
 
+@LONG
 @pytest.mark.parametrize("point", ["before_commit", "after_commit"])
 def test_a_server_killed_about_its_commit_answers_the_retry_with_one_session(site: Site, telemetry: bytes, point: str):
     """F4: before the commit nothing is kept; after it the retry finds the session, by key and by bytes."""
     server, url = site.serve(workers=0)
     with site.client(url) as api:
         prepare(api)
-    server.terminate()
-    server.wait()
-    server, url = site.serve(workers=0, FAULT_POINT=point)
-    with site.client(url) as api, pytest.raises(Exception, match=r"."):
-        upload(api, telemetry, **{"idempotency-key": "pass-1"})
-    assert server.wait(30) == -signal.SIGKILL
-    _, url = site.serve(workers=0)
-    with site.client(url) as api:
-        kept = api.get("/sessions").json()["items"]
-        assert len(kept) == (1 if point == "after_commit" else 0)
-        retried = upload(api, telemetry, **{"idempotency-key": "pass-1"})
-        assert retried.status_code == (200 if kept else 201)
-        assert upload(api, telemetry).json()["id"] == retried.json()["id"]
-        assert retried.json()["sha256"] == hashlib.sha256(telemetry).hexdigest()
-        assert len(api.get("/sessions").json()["items"]) == 1
+    kept_of_killed = int(point == "after_commit")
+    for trial in range(TRIALS):
+        content, once = piece(telemetry, trial), {"idempotency-key": f"pass-{trial}"}
+        server.terminate()
+        server.wait()
+        server, url = site.serve(workers=0, FAULT_POINT=point)
+        with site.client(url) as api, pytest.raises(Exception, match=r"."):
+            upload(api, content, **once)
+        assert server.wait(30) == -signal.SIGKILL
+        server, url = site.serve(workers=0)
+        with site.client(url) as api:
+            assert len(api.get("/sessions", params=ALL).json()["items"]) == trial + kept_of_killed
+            retried = upload(api, content, **once)
+            assert retried.status_code == (200 if kept_of_killed else 201)
+            assert upload(api, content).json()["id"] == retried.json()["id"]
+            assert retried.json()["sha256"] == hashlib.sha256(content).hexdigest()
+            assert len(api.get("/sessions", params=ALL).json()["items"]) == trial + 1
 
 
+@LONG
 def test_ten_stations_and_two_servers_make_one_session_and_one_job(site: Site, telemetry: bytes):
     """F10: the same pass at once through two server processes; the policy queues one job."""
     urls = [site.serve(workers=0)[1], site.serve(workers=0)[1]]
     with site.client(urls[0]) as api:
         prepare(api)
         api.post("/satellites/a/magnetometers", json={"id": "w", "unit": "nT", "policy": {}}).raise_for_status()
-        rounds = [b"\n".join(telemetry.splitlines()[: 100 + i]) for i in range(5 * TRIALS)]
+        rounds = [piece(telemetry, number) for number in range(5 * TRIALS)]
 
         def send(number: int, content: bytes) -> tuple[int, str]:
             with site.client(urls[number % 2]) as station:
@@ -148,5 +160,5 @@ def test_ten_stations_and_two_servers_make_one_session_and_one_job(site: Site, t
                 answers = list(stations.map(send, range(10), [content] * 10))
                 assert sorted(status for status, _ in answers) == [200] * 9 + [201], answers
                 assert len({session_id for _, session_id in answers}) == 1
-        assert len(api.get("/sessions").json()["items"]) == len(rounds)
-        assert len(api.get("/jobs").json()["items"]) == len(rounds)
+        assert len(api.get("/sessions", params=ALL).json()["items"]) == len(rounds)
+        assert len(api.get("/jobs", params=ALL).json()["items"]) == len(rounds)
