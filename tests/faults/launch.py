@@ -1,7 +1,8 @@
 """Start `magcal` with faults planted: only the suite starts it like this.
 
 FAULT_CALCULATION: one of `planted`, in place of a calibration. FAULT_POINT: where this process kills itself.
-FAULT_PAGES: pages that the SQLite database may grow to, for a disk that is full.
+FAULT_PAGES: pages that the SQLite database may grow to, for a disk that is full. FAULT_GRACE_S: how long a worker that
+is asked to stop leaves to the job in hand.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from sqlalchemy import Engine, event
-from sqlalchemy.orm import Session
+from sqlalchemy import Connection, Engine, event
 
+from app import worker
 from app.cli.main import run
 from app.jobs import execute
 from app.jobs.calibration import CalibrationKind
@@ -36,6 +37,11 @@ def kill_after(method: Callable[..., Any]) -> Callable[..., Any]:
     return wrapped
 
 
+def note_session(connection: Connection, _cursor: object, statement: str, *_rest: object) -> None:
+    if statement.startswith("INSERT INTO session "):
+        connection.info["has_session"] = True
+
+
 def plant() -> None:
     for kind in JOB_KINDS.values():
         kind.warm = (
@@ -45,11 +51,14 @@ def plant() -> None:
     if calculation := os.environ.get("FAULT_CALCULATION"):
         CalibrationKind.function = f"planted:{calculation}"
     if point == "after_commit":
-        Ingest.keep = kill_after(Ingest.keep)  # type: ignore[method-assign]
+        Ingest.tell = kill_after(Ingest.tell)  # type: ignore[method-assign]
     if point == "before_commit":
-        event.listen(Session, "before_commit", lambda session: die() if session.new or session.dirty else None)
+        event.listen(Engine, "before_cursor_execute", note_session)
+        event.listen(Engine, "commit", lambda connection: die() if connection.info.get("has_session") else None)
     if point == "in_result":
         execute.finish = kill_after(execute.finish)
+    if grace_s := os.environ.get("FAULT_GRACE_S"):
+        worker.STOP_GRACE_S = float(grace_s)  # type: ignore[misc]
     if pages := os.environ.get("FAULT_PAGES"):
         event.listen(
             Engine, "connect", lambda connection, _record: connection.execute(f"PRAGMA max_page_count={int(pages)}")
