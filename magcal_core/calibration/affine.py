@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from magcal_core.calibration.fit import BlockScores, block_starts
 from magcal_core.calibration.regression import Regression
-from magcal_core.calibration.uncertainty import honest_covariance
+from magcal_core.calibration.uncertainty import covered_s, honest_covariance
 
 Floats = NDArray[np.float64]
 
@@ -52,10 +52,10 @@ class Affine:
         return self.covariance[3::4, 3::4]
 
 
-def fit_affine(x: Floats, y: Floats, weights: Floats, *, is_robust: bool) -> Affine:
+def fit_affine(t_s: Floats, x: Floats, y: Floats, weights: Floats, *, is_robust: bool) -> Affine:
     """Return the weighted least-squares map from ``x`` to ``y``, each of shape (n, 3), under Huber's loss if asked.
 
-    The rows share their weights, and scores of all twelve unknowns are summed block by block.
+    ``t_s``: times, shape (n,), s. The rows share their weights; scores of all twelve unknowns are summed by blocks.
     """
     regression = Regression(x.T, y.T, np.ones((3, 3), dtype=bool), weights)
     if is_robust:
@@ -66,10 +66,10 @@ def fit_affine(x: Floats, y: Floats, weights: Floats, *, is_robust: bool) -> Aff
     matrix = regression.coefficients[:, :3].copy()
     offset = regression.coefficients[:, 3] - matrix @ regression.centre
     residuals = np.ascontiguousarray(regression.residuals.T)
-    return Affine(matrix, offset, _covariance(regression, x, total), residuals, total)
+    return Affine(matrix, offset, _covariance(regression, x, total, covered_s(t_s)), residuals, total)
 
 
-def _covariance(regression: Regression, x: Floats, weights: Floats) -> Floats:
+def _covariance(regression: Regression, x: Floats, weights: Floats, duration_s: float) -> Floats:
     n = len(x)
     # Scaled so that the normal matrix is near unity: x is in nT, the constant is 1.
     scale = np.array([*np.sqrt(np.einsum("ij,ij->j", x, x) / n), 1.0])
@@ -87,4 +87,4 @@ def _covariance(regression: Regression, x: Floats, weights: Floats) -> Floats:
     dof = max(float(np.count_nonzero(weights > 0)) - 4.0, 1.0)
     variances = weights @ regression.residuals.T**2 / dof
     formal = own @ np.kron(np.diag(variances), inverse) @ own
-    return honest_covariance(BlockScores(scores, normals, starts, own), formal, n).covariance
+    return honest_covariance(BlockScores(scores, normals, starts, own), formal, n, duration_s).covariance

@@ -22,7 +22,7 @@ from magcal_core.calibration.fit import (
 from magcal_core.calibration.minimise import Minimum, minimise
 from magcal_core.calibration.result import Parameters
 from magcal_core.calibration.scalar import ScalarFit
-from magcal_core.calibration.uncertainty import honest_covariance
+from magcal_core.calibration.uncertainty import covered_s, honest_covariance
 from magcal_core.calibration.vector import VectorFit
 from magcal_core.calibration.weights import robust_sigma, weights_and_slopes
 from magcal_core.errors import EstimationError, Fault, NotObservableError, OptionError
@@ -310,7 +310,8 @@ def _assemble(problem: _Problem, solution: _Solution, alone: Sequence[Fit | None
     blocks = problem.blocks(solution)
     total = sum(len(session) for session in problem.sessions)
     formal = _formal(problem, blocks)
-    honest = honest_covariance(blocks, formal, total).covariance
+    duration_s = sum(covered_s(session.t_s) for session in problem.sessions)
+    honest = honest_covariance(blocks, formal, total, duration_s).covariance
     errors = np.sqrt(np.diag(honest))
     sessions = tuple(
         JointSession(
@@ -322,7 +323,7 @@ def _assemble(problem: _Problem, solution: _Solution, alone: Sequence[Fit | None
         )
         for i, label in enumerate(problem.labels)
     )
-    tested = consistency_of_fits(problem.labels, alone, [len(session) for session in problem.sessions])
+    tested = consistency_of_fits(problem.labels, alone, problem.sessions)
     warnings = [
         f"not_observable_alone: {label} does not determine the parameters alone"
         for label, fit in zip(problem.labels, alone, strict=True)
@@ -346,12 +347,16 @@ def _formal(problem: _Problem, blocks: BlockScores) -> Floats:
 
 
 def consistency_of_fits(
-    labels: Sequence[str], fits: Sequence[Fit | None], samples: Sequence[int]
+    labels: Sequence[str], fits: Sequence[Fit | None], sessions: Sequence[Observations]
 ) -> Consistency | None:
     """Return whether separate fits agree within their honest errors; None where there are not two of them."""
     found = [
-        SessionEstimate(label, fit.parameters, honest_covariance(fit.blocks, fit.covariance, n).covariance)
-        for label, fit, n in zip(labels, fits, samples, strict=True)
+        SessionEstimate(
+            label,
+            fit.parameters,
+            honest_covariance(fit.blocks, fit.covariance, len(session), covered_s(session.t_s)).covariance,
+        )
+        for label, fit, session in zip(labels, fits, sessions, strict=True)
         if fit is not None
     ]
     return consistency(found) if len(found) > 1 else None

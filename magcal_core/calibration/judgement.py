@@ -24,7 +24,7 @@ from magcal_core.calibration.observability import (
 from magcal_core.calibration.reference_errors import ReferenceShift
 from magcal_core.calibration.result import Observability, Parameters, ResidualStatistics, Verdict
 from magcal_core.calibration.selection import held_out_residuals_nt, rms_nt
-from magcal_core.calibration.uncertainty import HonestCovariance, honest_covariance
+from magcal_core.calibration.uncertainty import HonestCovariance, covered_s, honest_covariance
 from magcal_core.calibration.verdict import Evidence, judge
 from magcal_core.calibration.weights import robust_sigma
 from magcal_core.sensor import inverse_lower, matrix_of_parameters
@@ -65,7 +65,8 @@ def judgement_of(
     estimator: Estimator, observations: Observations, fit: Fit, settings: FitSettings, circumstances: Circumstances
 ) -> Judgement:
     """Return what ``fit`` is worth."""
-    seen = honest_covariance(fit.blocks, fit.covariance, len(observations))
+    duration_s = covered_s(observations.t_s)
+    seen = honest_covariance(fit.blocks, fit.covariance, len(observations), duration_s)
     honest = replace(seen, covariance=_with_reference(seen.covariance, circumstances.reference))
     names = len(fit.parameters.names)
     errors = np.sqrt(np.diag(honest.covariance))

@@ -133,10 +133,10 @@ def compare_magnetometers(
     singular values as for Wahba's problem. Huber's loss: a spike of one sensor moves nothing. Noise of the second
     sensor lowers G by its variance over the field's, 25 ppm at 100 nT.
     """
-    one, other = _paired(first, second)
+    t_s, one, other = _paired(first, second)
     if len(one) < MIN_PAIRS:
         raise TooFewSamplesError(f"{len(one)} pairs of readings, the comparison needs at least {MIN_PAIRS}")
-    affine = fit_affine(other, one, np.ones(len(one)), is_robust=True)
+    affine = fit_affine(t_s, other, one, np.ones(len(one)), is_robust=True)
     u, s, vt = np.linalg.svd(affine.matrix)
     rotation = u @ vt
     hand = 1.0 if np.linalg.det(rotation) > 0 else -1.0
@@ -219,8 +219,8 @@ def _findings(hand: float, turned: _Difference, offset: _Difference, gain: _Diff
     return tuple(found)
 
 
-def _paired(first: CorrectedReadings, second: CorrectedReadings) -> tuple[Floats, Floats]:
-    """Return the first one's readings, and the second one's at the same times, each of shape (m, 3)."""
+def _paired(first: CorrectedReadings, second: CorrectedReadings) -> tuple[Floats, Floats, Floats]:
+    """Return the times, s, the first one's readings there and the second one's, each of shape (m, 3)."""
     start = first.t_utc[0] if len(first.t_utc) else np.datetime64(0, "ns")
     t1 = (first.t_utc - start) / np.timedelta64(1, "ns") * 1e-9
     t2 = (second.t_utc - start) / np.timedelta64(1, "ns") * 1e-9
@@ -228,16 +228,16 @@ def _paired(first: CorrectedReadings, second: CorrectedReadings) -> tuple[Floats
     good2 = np.flatnonzero(np.isfinite(second.b_nt).all(axis=1) & np.concatenate([[True], np.diff(t2) > 0]))
     t1, b1, t2, b2 = t1[good1], first.b_nt[good1], t2[good2], second.b_nt[good2]
     if len(t2) < 4 or len(t1) < 4:
-        return np.zeros((0, 3)), np.zeros((0, 3))
+        return np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))
     step = float(np.median(np.diff(t2)))
     left = np.clip(np.searchsorted(t2, t1, side="right") - 1, 0, len(t2) - 2)
     nearest = left + (t1 - t2[left] > t2[left + 1] - t1)
     is_same = np.abs(t2[nearest] - t1) <= _SAME_SHARE * step
     if np.count_nonzero(is_same) >= max(MIN_PAIRS, 0.5 * len(t1)):
-        return b1[is_same], b2[nearest[is_same]]
+        return t1[is_same], b1[is_same], b2[nearest[is_same]]
     width = t2[left + 1] - t2[left]
     inside = (t1 >= t2[0]) & (t1 <= t2[-1]) & (width <= 2.5 * step)
-    return b1[inside], _hermite(t2, b2, t1[inside], left[inside])
+    return t1[inside], b1[inside], _hermite(t2, b2, t1[inside], left[inside])
 
 
 def _hermite(t: Floats, b: Floats, at: Floats, left: NDArray[np.intp]) -> Floats:

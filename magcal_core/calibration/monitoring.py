@@ -13,7 +13,7 @@ from magcal_core.calibration.consistency import ParameterDifference
 from magcal_core.calibration.equations import block_equations
 from magcal_core.calibration.fit import BlockScores, Observations, residuals_nt
 from magcal_core.calibration.result import Parameters, Reason
-from magcal_core.calibration.uncertainty import honest_covariance
+from magcal_core.calibration.uncertainty import covered_s, honest_covariance
 from magcal_core.errors import InputError, OptionError
 from magcal_core.sensor import matrix_of_parameters
 
@@ -74,13 +74,14 @@ class SessionMoments:
     ----------
     at : the parameters (without clock) that the sums were taken at.
     blocks : scores and normal matrices of short blocks, in those parameters.
-    samples, cost, mean_nt, rms_nt, mean_field_nt
-        Count; sum of squares, nT^2; mean and RMS of the residual, and mean |B|, nT.
+    samples, duration_s, cost, mean_nt, rms_nt, mean_field_nt
+        Count; time that they cover, s; sum of squares, nT^2; mean and RMS of the residual, and mean |B|, nT.
     """
 
     at: Parameters
     blocks: BlockScores
     samples: int
+    duration_s: float
     cost: float
     mean_nt: float
     rms_nt: float
@@ -152,6 +153,7 @@ def moments_of(observations: Observations, parameters: Parameters, *, is_vector:
         at=at,
         blocks=blocks,
         samples=int(np.count_nonzero(used)),
+        duration_s=covered_s(o.t_s),
         cost=whole.cost,
         mean_nt=float(r[used].mean()),
         rms_nt=float(np.sqrt(np.mean(r[used] ** 2))),
@@ -244,7 +246,7 @@ def _step(moments: SessionMoments) -> tuple[Floats, Floats]:
         np.concatenate([blocks.starts, [moments.samples]]),
         np.eye(p),
     )
-    return step, honest_covariance(settled, inverse * variance, moments.samples).covariance
+    return step, honest_covariance(settled, inverse * variance, moments.samples, moments.duration_s).covariance
 
 
 def _solve(normal: Floats, right: Floats) -> Floats:

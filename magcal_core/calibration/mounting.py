@@ -105,7 +105,7 @@ def mounting_of(observations: Observations, parameters: Parameters) -> Mounting:
     b_nt = observations.b_base_nt
     if _is_flat(b_nt):
         return Mounting("free", f"the field stayed in a plane of the attitude's frame; {_FREE}")
-    affine = fit_affine(b_nt, h_nt, observations.weights, is_robust=True)
+    affine = fit_affine(observations.t_s, b_nt, h_nt, observations.weights, is_robust=True)
     return _of_affine(affine, "attitude")
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations
-from magcal_core.calibration.uncertainty import honest_covariance
+from magcal_core.calibration.uncertainty import covered_s, honest_covariance
 
 Floats = NDArray[np.float64]
 
@@ -121,7 +121,7 @@ def fit_with_clock(
         observations = _Expansion.about(at, clock @ shapes, at(clock @ shapes)).moved(0.0, shapes)
         fit = estimator.fit(observations, settings)
         clock = clock + fit.clock
-    honest = honest_covariance(fit.blocks, fit.covariance, len(observations))
+    honest = honest_covariance(fit.blocks, fit.covariance, len(observations), covered_s(observations.t_s))
     errors = np.sqrt(np.diag(honest.covariance))[-len(clock) :]
     score = abs(clock[0]) / max(errors[0], 1e-300)
     fit = replace(fit, parameters=replace(fit.parameters, time_offset_s=float(clock[0])))

@@ -28,6 +28,9 @@ _CORRELATED: Final = 0.2
 """Correlation of scores below which they pass for independent."""
 _BLOCK_OVER_CORRELATION: Final = 2.5
 """Block length over the lag at which the correlation is gone: a block must be longer, its edges are correlated."""
+_STEPS: Final = 256
+_GAP: Final = 4.0
+"""Longest step between samples, in usual ones, that time passes in."""
 _T_95: Final = (
     12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131,
 )  # fmt: skip
@@ -45,8 +48,18 @@ class HonestCovariance:
     block_samples: int
 
 
-def honest_covariance(scores: BlockScores, formal: Floats, samples: int) -> HonestCovariance:
-    """Return the covariance that the scores show; no parameter's variance is taken below its ``formal`` one."""
+def covered_s(t_s: Floats) -> float:
+    """Return the time that samples at ``t_s``, shape (n,), s, ascending, cover: a gap counts as four usual steps."""
+    at = np.linspace(0, len(t_s) - 1, min(len(t_s), _STEPS)).astype(np.intp)
+    steps = np.diff(t_s[at])
+    return float(np.minimum(steps, _GAP * np.median(steps)).sum()) if len(steps) else 0.0
+
+
+def honest_covariance(scores: BlockScores, formal: Floats, samples: int, duration_s: float) -> HonestCovariance:
+    """Return the covariance that the scores show; no parameter's variance is taken below its ``formal`` one.
+
+    ``duration_s``: time that the samples cover, s (`covered_s`).
+    """
     count = len(scores.starts)
     per_block = _block_length(scores)
     edges = np.arange(0, count, per_block)
@@ -59,7 +72,7 @@ def honest_covariance(scores: BlockScores, formal: Floats, samples: int) -> Hone
     m = len(edges)
     moves = shifts @ scores.to_parameters.T
     covariance = moves.T @ moves * (m - 1) / m
-    variances, frequencies = low_frequency_variances(scores)
+    variances, frequencies = low_frequency_variances(scores, duration_s)
     wanted = np.maximum(variances * (student_95(frequencies) / 1.96) ** 2, np.diag(formal))
     raise_by = np.sqrt(wanted / np.maximum(np.diag(covariance), 1e-300))
     return HonestCovariance(covariance * np.outer(raise_by, raise_by), m, max(1, round(samples * per_block / count)))

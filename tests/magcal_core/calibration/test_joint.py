@@ -189,11 +189,11 @@ def test_the_published_sessions_of_dekart_disagree_by_eleven_sigma_in_b2(orbits)
 
 
 def test_simulated_sessions_of_dekart_disagree_as_the_published_ones(orbits) -> None:
-    fits = [
-        ScalarFit().fit(session(orbits[0], sensor_of(TABLE_1), 0, 700, 31, noise_nt=780.0), FitSettings()),
-        ScalarFit().fit(session(orbits[1], sensor_of(TABLE_2), 1, 1400, 32, noise_nt=1266.0), FitSettings()),
+    sessions = [
+        session(orbits[0], sensor_of(TABLE_1), 0, 700, 31, noise_nt=780.0),
+        session(orbits[1], sensor_of(TABLE_2), 1, 1400, 32, noise_nt=1266.0),
     ]
-    found = consistency_of_fits(("1", "2"), fits, (700, 1400))
+    found = consistency_of_fits(("1", "2"), [ScalarFit().fit(one, FitSettings()) for one in sessions], sessions)
     assert found is not None
     assert not found.is_consistent
     b2 = next(one for one in found.differences if one.parameter == "bias_nt[1]")
@@ -204,10 +204,8 @@ def test_one_sensor_twice_is_found_consistent(orbits) -> None:
     """Six pairs with a wave of 250 nT in the bias: at a level of 1e-3 none may be called inconsistent."""
     wave = {"wave_nt": (250.0, 0.0, 0.0)}
     for seed in range(6):
-        fits = [
-            ScalarFit().fit(session(orbits[i], ONE, i, 700, 100 + 2 * seed + i, **wave), FitSettings()) for i in (0, 1)
-        ]
-        found = consistency_of_fits(("a", "b"), fits, (700, 700))
+        sessions = [session(orbits[i], ONE, i, 700, 100 + 2 * seed + i, **wave) for i in (0, 1)]
+        found = consistency_of_fits(("a", "b"), [ScalarFit().fit(one, FitSettings()) for one in sessions], sessions)
         assert found is not None
         assert found.is_consistent, found.text
 

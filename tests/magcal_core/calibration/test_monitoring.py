@@ -12,7 +12,7 @@ import pytest
 from magcal_core.calibration.fit import FitSettings, Observations
 from magcal_core.calibration.monitoring import ActiveSet, judge_moments, judge_session, moments_of
 from magcal_core.calibration.scalar import ScalarFit
-from magcal_core.calibration.uncertainty import honest_covariance
+from magcal_core.calibration.uncertainty import covered_s, honest_covariance
 from magcal_core.calibration.vector import VectorFit
 from magcal_core.errors import InputError, OptionError
 from magcal_core.orbit.sgp4 import Sgp4Orbit
@@ -37,7 +37,7 @@ def session(orbit, sensor, seed: int, *, samples: int = 600, days: int = 0, **mo
 
 def active_of(observations: Observations, *, is_vector: bool = False) -> ActiveSet:
     fit = (VectorFit() if is_vector else ScalarFit()).fit(observations, FitSettings())
-    honest = honest_covariance(fit.blocks, fit.covariance, len(observations)).covariance
+    honest = honest_covariance(fit.blocks, fit.covariance, len(observations), covered_s(observations.t_s)).covariance
     return ActiveSet(fit.parameters, honest, float(np.sqrt(np.mean(fit.residuals_nt**2))), is_vector)
 
 

@@ -132,7 +132,7 @@ def test_inverse_rows_are_those_of_qr(mission, robust):
 def test_affine_maps_are_those_of_plain_reweighting(mission):
     """Six rounds of Huber's loss by lstsq, step by step the same: 1e-6 nT of residuals up to 6000 nT."""
     h_nt, b_nt, _, prior = _arrays(mission)
-    fast = fit_affine(b_nt, h_nt, prior, is_robust=True)
+    fast = fit_affine(np.arange(len(h_nt)), b_nt, h_nt, prior, is_robust=True)
     weights = prior
     for _ in range(6):
         design = np.column_stack([b_nt, np.ones(len(b_nt))])

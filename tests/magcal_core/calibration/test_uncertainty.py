@@ -10,7 +10,7 @@ from scipy.stats import t as student
 
 from magcal_core.calibration import ESTIMATORS, FitSettings, Observations
 from magcal_core.calibration.bootstrap import bootstrap
-from magcal_core.calibration.uncertainty import honest_covariance, student_95
+from magcal_core.calibration.uncertainty import covered_s, honest_covariance, student_95
 from magcal_core.telemetry import read_samples
 
 PLAIN = FitSettings()
@@ -18,7 +18,7 @@ PLAIN = FitSettings()
 
 def errors_of(observations, method="scalar"):
     fit = ESTIMATORS[method].fit(observations, PLAIN)
-    honest = honest_covariance(fit.blocks, fit.covariance, len(observations))
+    honest = honest_covariance(fit.blocks, fit.covariance, len(observations), covered_s(observations.t_s))
     return fit, np.sqrt(np.diag(honest.covariance))
 
 
