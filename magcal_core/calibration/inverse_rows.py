@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.calibration.regression import Regression
-from magcal_core.calibration.weights import robust_sigma, weights_and_slopes
+from magcal_core.calibration.weights import robust_sigma, shared_weight_slope
 
 Floats = NDArray[np.float64]
 
@@ -155,10 +155,9 @@ def reweighted_inverse(h_nt: Floats, b_nt: Floats, prior: Floats, robust: str) -
     rows = _rows(regression, h_nt, b_nt, weights)
     used, floor = prior > 0, 1e-12 * float(np.abs(b_nt).max())
     scales = [robust_sigma(rows.residuals_nt[used, axis], floor) for axis in range(3)]
-    slope = weights_and_slopes(np.abs(rows.residuals_nt / scales).max(axis=1), robust, 1.0)[1]
     weight = np.divide(weights, prior, out=np.zeros_like(prior), where=used)
     total, squares = float(prior.sum()), np.sum(rows.residuals_nt**2, axis=1)
-    share = float(weights.sum() / max(float(prior @ slope), 0.05 * total))
+    share = shared_weight_slope(rows.residuals_nt / scales, prior, weight, robust)
     psi, plain = float((weights * weight) @ squares), float(weights @ squares)
     softening = share**2 / (float(weights.sum()) / total) * psi / max(plain, 1e-300)
     return replace(rows, softening=softening, rounds=rounds, is_converged=is_converged)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from magcal_core.calibration.fit import Observations, scaled_inverse
 from magcal_core.calibration.jacobians import Standardised
 from magcal_core.calibration.regression import Regression
-from magcal_core.calibration.weights import robust_sigma, weights_and_slopes
+from magcal_core.calibration.weights import robust_sigma, shared_weight_slope
 from magcal_core.sensor import lower_triangular_gauge
 
 Floats = NDArray[np.float64]
@@ -140,20 +140,15 @@ def reweighted(  # noqa: PLR0917
 
 
 def _softening(rows: Rows, prior: Floats, robust: str, floor: float) -> tuple[float, float]:
-    """Return what the loss multiplies the formal covariance by, and divides the normal matrix by.
-
-    sum(psi') counts the worst residual's slope for the sample: exact where one residual decides, safe elsewhere.
-    """
+    """Return what the loss multiplies the formal covariance by, and divides the normal matrix by."""
     used = prior > 0
     scales = [robust_sigma(rows.residuals_nt[used, axis], floor) for axis in range(3)]
-    slope = weights_and_slopes(np.abs(rows.residuals_nt / scales).max(axis=1), robust, 1.0)[1]
     weight = np.divide(rows.weights, prior, out=np.zeros_like(prior), where=used)
-    total = float(prior.sum())
-    share = float(rows.weights.sum() / max(float(prior @ slope), 0.05 * total))
+    share = shared_weight_slope(rows.residuals_nt / scales, prior, weight, robust)
     squares = rows.residuals_nt**2
     psi, plain = (rows.weights * weight) @ squares, rows.weights @ squares
-    mean_weight = float(rows.weights.sum() / total)
-    return share**2 / mean_weight * float(np.mean(psi / np.maximum(plain, 1e-300))), share
+    mean_weight = float(rows.weights.sum() / prior.sum())
+    return share**2 / mean_weight * float(np.max(psi / np.maximum(plain, 1e-300))), share
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -31,3 +31,18 @@ def weights_and_slopes(residuals: Floats, robust: str, sigma: float) -> tuple[Fl
     weight, slope = np.empty(residuals.size), np.empty(residuals.size)
     loss_terms(np.ascontiguousarray(residuals) / (TUNING[loss] * sigma), loss, weight, slope)
     return weight, slope
+
+
+def shared_weight_slope(scaled: Floats, prior: Floats, weight: Floats, robust: str) -> float:
+    """Return sum(w) over sum(psi') where the worst of a sample's three residuals decides the weight w of all three.
+
+    Only the worst one's own slope is psi'; the other two are weighed by w, which does not depend on them. Of the three
+    axes the one that loses most counts. ``scaled``: residuals over their deviations, shape (n, 3); ``prior``,
+    ``weight``: prior weight and what the loss multiplies it by, shape (n,).
+    """
+    size = np.abs(scaled)
+    worst = size.argmax(axis=1)
+    slope = weights_and_slopes(np.take_along_axis(size, worst[:, None], axis=1)[:, 0], robust, 1.0)[1]
+    kept = float(prior @ weight)
+    lost = float(np.bincount(worst, prior * (weight - slope), 3).max())
+    return kept / max(kept - lost, 0.05 * float(prior.sum()))
