@@ -37,6 +37,8 @@ from app.parameter_sets.listing import Texts
 from app.satellites import endpoints as satellites
 from app.security import SecurityHeaders
 from app.sessions import endpoints as sessions
+from app.sessions.ingest import Ingest
+from app.sessions.keeping import Keeper
 from app.sessions.upload import Admission, sweep_incoming
 from app.settings import Settings
 from app.store import open_store
@@ -70,6 +72,8 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
     app.state.texts = Texts()
     app.state.uploads = Admission(settings.max_uploads_at_once, settings.max_uploads_per_key)
     app.state.running = Running()
+    app.state.ingest = Ingest(database, store, app.state.queue, settings)
+    app.state.keeper = Keeper(app.state.ingest, database)
     app.include_router(health.router)
     api = APIRouter(prefix=API)
     for room in ROOMS:
@@ -102,4 +106,5 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     finally:
         if engine.workers is not None:
             await run_in_threadpool(engine.workers.stop, STOP_GRACE_S)
+        await run_in_threadpool(app.state.keeper.close)
         app.state.database.close()

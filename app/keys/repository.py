@@ -23,6 +23,8 @@ from app.schemas import PageQuery
 KEY_FORM: Final = re.compile(r"mgc_([0-9a-f]{16})_([A-Za-z0-9_-]{43})", re.ASCII)
 SECRET_BYTES: Final = 32
 LOGIN_LENGTH: Final = 43
+NEW_EVENT: Final = AuditEvent.metadata.tables["audit_event"].insert()
+"""Without the mapper: every upload has its line of the trail."""
 
 
 class Scope(StrEnum):
@@ -148,15 +150,14 @@ class KeyRepository:
 
 def record_event(session: Session, caller: Caller, action: str, subject: str, satellite_id: str | None = None) -> None:
     """Add one line to the audit trail, in the transaction of what it tells of."""
-    session.add(
-        AuditEvent(
-            id=new_id(),
-            at=utc_now(),
-            key_id=caller.key_id,
-            action=action,
-            subject=subject,
-            satellite_id=satellite_id,
-            address=caller.address,
-            request_id=caller.request_id,
-        )
-    )
+    event = {
+        "id": new_id(),
+        "at": utc_now(),
+        "key_id": caller.key_id,
+        "action": action,
+        "subject": subject,
+        "satellite_id": satellite_id,
+        "address": caller.address,
+        "request_id": caller.request_id,
+    }
+    session.connection().execute(NEW_EVENT, event)

@@ -12,15 +12,15 @@ from app.auth import Reader, Station
 from app.body import StrictJsonRoute
 from app.idempotency import KeyHeader
 from app.keys.repository import Caller
-from app.resources import Blobs, Config, Db, Jobs
+from app.resources import Blobs, Config, Db
 from app.satellites.repository import SatelliteRepository
 from app.schemas import Page, Slug
 from app.sessions import judging
-from app.sessions.ingest import Ingest
+from app.sessions.ingest import Asked, Ingest
 from app.sessions.repository import SessionRepository, samples_of
 from app.sessions.schemas import ChunkRead, SampleQuery, SessionDetail, SessionQuery, SessionRead, UploadQuery
 from app.sessions.tables import TelemetrySession
-from app.sessions.upload import check_declared, receive
+from app.sessions.upload import check_declared, is_short, receive
 from app.tabular import table_response, wanted_format
 from magcal_core.telemetry import MEDIA_TYPES, WRITERS, write_samples
 
@@ -46,8 +46,9 @@ TABLES: Final[dict[int | str, dict[str, Any]]] = {
 }
 
 
-async def _ingest(caller: Station, db: Db, store: Blobs, queue: Jobs, config: Config) -> Ingest:
-    return Ingest(db, store, queue, config, caller)
+async def _ingest(request: Request) -> Ingest:
+    ingest: Ingest = request.app.state.ingest
+    return ingest
 
 
 Ingests = Annotated[Ingest, Depends(_ingest)]
@@ -90,20 +91,19 @@ async def upload_session(
     request: Request,
     response: Response,
     caller: Station,
-    db: Db,
-    config: Config,
-    ingest: Ingests,
     key: KeyHeader = None,
 ) -> SessionRead:
     """Send telemetry of one magnetometer; the same bytes again are the same session."""
-    request.app.state.uploads.check(caller)
-    await run_in_threadpool(_require_satellite, satellite_id, caller, db)
-    if config.max_mb_per_day is not None:
-        await run_in_threadpool(_check_day, request, caller, db, config)
-    with request.app.state.running.hold(caller, key):
-        async with request.app.state.uploads.place(caller):
-            upload = await receive(request, config)
-            kept = await run_in_threadpool(ingest.keep, satellite_id, query, upload, key)
+    state = request.app.state
+    state.uploads.check(caller)
+    if not is_short(request):
+        await run_in_threadpool(_require_satellite, satellite_id, caller, state.database)
+    if state.settings.max_mb_per_day is not None:
+        await run_in_threadpool(_check_day, request, caller, state.database, state.settings)
+    with state.running.hold(caller, key):
+        async with state.uploads.place(caller):
+            upload = await receive(request, state.settings)
+            kept = await state.keeper.keep(Asked(caller, satellite_id, query, upload, key))
     response.status_code = 201 if kept.is_new else 200
     response.headers["Location"] = f"/api/v1/sessions/{kept.session.id}"
     return _read(kept.session, kept.job_id)
@@ -118,13 +118,13 @@ async def append_samples(
     await run_in_threadpool(_check_day, request, caller, db, config)
     async with request.app.state.uploads.place(caller):
         upload = await receive(request, config)
-        return _read(await run_in_threadpool(ingest.append, session_id, upload))
+        return _read(await run_in_threadpool(ingest.append, caller, session_id, upload))
 
 
 @router.post("/sessions/{session_id}/close")
-def close_session(session_id: str, ingest: Ingests) -> SessionRead:
+def close_session(session_id: str, caller: Station, ingest: Ingests) -> SessionRead:
     """Close an open session; the magnetometer's policy may then calibrate it."""
-    kept = ingest.close(session_id)
+    kept = ingest.close(caller, session_id)
     return _read(kept.session, kept.job_id)
 
 

@@ -1,4 +1,7 @@
-"""From a body that has arrived whole to a session that is durable: read, kept, acknowledged, in that order."""
+"""From a body that has arrived whole to a session that is durable: read, kept, acknowledged, in that order.
+
+`app.sessions.keeping` says in which threads, and which uploads share a transaction.
+"""
 
 from __future__ import annotations
 
@@ -44,9 +47,10 @@ class Kept:
 
 
 @dataclass(frozen=True, slots=True)
-class _Asked:
-    """What an upload asks for."""
+class Asked:
+    """What an upload asks for, and who asks."""
 
+    caller: Caller
     satellite_id: str
     query: UploadQuery
     upload: Upload
@@ -58,84 +62,104 @@ class _Asked:
         where = (self.satellite_id, self.query.magnetometer, str(self.query.open))
         return fingerprint("POST sessions", *where, self.upload.sha256)
 
+    @property
+    def order(self) -> tuple[str, str, str]:
+        """Where the upload stands among those of one transaction: the same in every process, lest they deadlock."""
+        return self.satellite_id, self.query.magnetometer, self.upload.sha256
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """An upload that has been read, and is ready to be written; None where it opens a session without samples."""
+
+    asked: Asked
+    magnetometer: Magnetometer
+    parsed: Parsed | None
+
+    @property
+    def size_bytes(self) -> int:
+        """How much its transaction writes of its body, about."""
+        return len(self.asked.upload.content)
+
 
 class Ingest:
-    """Keeps uploads for one caller."""
+    """The steps by which telemetry is kept."""
 
-    def __init__(self, database: Database, store: Store, queue: Queue, settings: Settings, caller: Caller) -> None:
+    def __init__(self, database: Database, store: Store, queue: Queue, settings: Settings) -> None:
         self._database = database
         self._store = store
         self._queue = queue
         self._settings = settings
-        self._caller = caller
 
-    def keep(self, satellite_id: str, query: UploadQuery, upload: Upload, key: str | None) -> Kept:
-        """Return the session of ``upload``, durable; the same bytes and the same key give the same session."""
-        asked = _Asked(satellite_id, query, upload, key)
+    def prepare(self, asked: Asked) -> Prepared | Kept:
+        """Return an upload, read and ready to be written, or what it was kept as before."""
         with self._database.read() as session:
-            magnetometer = SatelliteRepository(session, self._caller).magnetometer(satellite_id, query.magnetometer)
-            found = self._find(session, asked)
-        if found is not None and key is None:
+            sessions = SessionRepository(session, asked.caller)
+            sha256 = None if asked.query.open or asked.key is not None else asked.upload.sha256
+            magnetometer, known = sessions.place_of(asked.satellite_id, asked.query.magnetometer, sha256)
+            found = sessions.get(known) if known is not None else self._find(session, asked) if asked.key else None
+        if found is not None and asked.key is None:
             return Kept(found, is_new=False)
-        parsed = self._parsed(magnetometer, upload, may_be_empty=query.open) if found is None else None
-        kept = retried(lambda: self._commit(asked, magnetometer, parsed))
+        parsed = self._parsed(magnetometer, asked.upload, may_be_empty=asked.query.open) if found is None else None
+        return Prepared(asked, magnetometer, parsed)
+
+    def write(self, session: Session, prepared: Prepared) -> Kept:
+        """Return what ``prepared`` is kept as once the transaction of ``session`` is durable."""
+        asked = prepared.asked
+        # Equal bytes are found by the insert itself; only what a key made has to be looked for.
+        row = None if asked.key is None else self._find(session, asked)
+        is_new, job_id = False, None
+        if row is None:
+            row, is_new = SessionRepository(session, asked.caller).create(
+                asked.satellite_id, prepared.magnetometer.id, prepared.parsed, self._store, is_open=asked.query.open
+            )
+            job_id = self._follow_policy(session, asked.caller, prepared.magnetometer, row) if is_new else None
+        remember(session, asked.caller, asked.key, asked.fingerprint, row.id)
+        return Kept(row, is_new, job_id)
+
+    def tell(self, prepared: Prepared, kept: Kept) -> None:
+        """Count an upload that is durable, and wake whoever waits for its job."""
         if kept.is_new:
-            UPLOAD_BYTES.inc(len(upload.content))
+            UPLOAD_BYTES.inc(prepared.size_bytes)
         if kept.job_id is not None:
             self._queue.announce()
-        return kept
 
-    def _commit(self, asked: _Asked, magnetometer: Magnetometer, parsed: Parsed | None) -> Kept:
-        with self._database.write() as session:
-            # Equal bytes are found by the insert itself; only what a key made has to be looked for.
-            row = None if asked.key is None else self._find(session, asked)
-            is_new, job_id = False, None
-            if row is None:
-                row, is_new = SessionRepository(session, self._caller).create(
-                    asked.satellite_id, magnetometer.id, parsed, self._store, is_open=asked.query.open
-                )
-                job_id = self._follow_policy(session, magnetometer, row) if is_new else None
-            remember(session, self._caller, asked.key, asked.fingerprint, row.id)
-            return Kept(row, is_new, job_id)
-
-    def append(self, session_id: str, upload: Upload) -> TelemetrySession:
+    def append(self, caller: Caller, session_id: str, upload: Upload) -> TelemetrySession:
         """Return the session ``session_id`` with a further chunk."""
         with self._database.read() as session:
-            row = SessionRepository(session, self._caller).get(session_id)
-            magnetometer = SatelliteRepository(session, self._caller).magnetometer(
-                row.satellite_id, row.magnetometer_id
-            )
+            row = SessionRepository(session, caller).get(session_id)
+            magnetometer = SatelliteRepository(session, caller).magnetometer(row.satellite_id, row.magnetometer_id)
         parsed = self._parsed(magnetometer, upload, may_be_empty=False)
-        return retried(lambda: self._add(session_id, parsed))
+        return retried(lambda: self._add(caller, session_id, parsed))
 
-    def _add(self, session_id: str, parsed: Parsed | None) -> TelemetrySession:
+    def _add(self, caller: Caller, session_id: str, parsed: Parsed | None) -> TelemetrySession:
         with self._database.write() as session:
-            sessions = SessionRepository(session, self._caller)
+            sessions = SessionRepository(session, caller)
             row = sessions.get(session_id)
             session.refresh(row, with_for_update=True)
             if parsed is not None:
                 sessions.append(row, parsed, self._store)
             return row
 
-    def close(self, session_id: str) -> Kept:
+    def close(self, caller: Caller, session_id: str) -> Kept:
         """Return the session ``session_id``, closed, and the job that its magnetometer's policy queues."""
         with self._database.write() as session:
-            sessions = SessionRepository(session, self._caller)
+            sessions = SessionRepository(session, caller)
             row = sessions.get(session_id)
             session.refresh(row, with_for_update=True)
             is_open = row.state == "open"
             sessions.close(row)
             session.flush()
-            satellites = SatelliteRepository(session, self._caller)
+            satellites = SatelliteRepository(session, caller)
             magnetometer = satellites.magnetometer(row.satellite_id, row.magnetometer_id)
-            job_id = self._follow_policy(session, magnetometer, row) if is_open else None
+            job_id = self._follow_policy(session, caller, magnetometer, row) if is_open else None
         if job_id is not None:
             self._queue.announce()
         return Kept(row, is_open, job_id)
 
-    def _find(self, session: Session, asked: _Asked) -> TelemetrySession | None:
-        made = recall(session, self._caller, asked.key, asked.fingerprint)
-        sessions = SessionRepository(session, self._caller)
+    def _find(self, session: Session, asked: Asked) -> TelemetrySession | None:
+        made = recall(session, asked.caller, asked.key, asked.fingerprint)
+        sessions = SessionRepository(session, asked.caller)
         if made is not None:
             return sessions.get(made)
         if asked.query.open:
@@ -151,7 +175,9 @@ class Ingest:
         form = format_of(upload.media_type) or format_of_bytes(decompress(upload.content))
         return Parsed.of(upload, telemetry, form, self._store, None if packing is None else packing.result())
 
-    def _follow_policy(self, session: Session, magnetometer: Magnetometer, row: TelemetrySession) -> str | None:
+    def _follow_policy(
+        self, session: Session, caller: Caller, magnetometer: Magnetometer, row: TelemetrySession
+    ) -> str | None:
         if magnetometer.policy is None or row.state != "closed":
             return None
         policy = Policy.model_validate(magnetometer.policy)
@@ -159,4 +185,4 @@ class Ingest:
             return None
         wanted = {"kind": "calibration", "session_ids": [row.id], "priority": policy.priority, **policy.options}
         body = CalibrationBody.model_validate(wanted)
-        return JobRepository(session, self._caller).submit(body, self._queue).id
+        return JobRepository(session, caller).submit(body, self._queue).id

@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Final
 
 import numpy as np
-from sqlalchemy import func, select
+from sqlalchemy import and_, bindparam, func, select
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
@@ -18,6 +18,7 @@ from app.errors import ConflictError, ExpiredError, NotFoundError, QuotaError
 from app.keys.repository import Caller, record_event
 from app.paging import fetch_page
 from app.satellites.repository import within_reach
+from app.satellites.tables import Magnetometer, Satellite
 from app.sessions.columns import decode, encode
 from app.sessions.reading import column_names
 from app.sessions.schemas import SessionQuery
@@ -31,6 +32,28 @@ DAY: Final = timedelta(days=1)
 SESSIONS: Final = TelemetrySession.metadata.tables["session"]
 CHUNKS: Final = Chunk.metadata.tables["chunk"]
 """Without the mapper, for what an upload writes while it holds the writer's turn."""
+NEW_SESSION: Final = {
+    name: insert(SESSIONS).on_conflict_do_nothing().returning(SESSIONS.c.id)
+    for name, insert in (("sqlite", sqlite.insert), ("postgresql", postgresql.insert))
+}
+NEW_CHUNK: Final = CHUNKS.insert()
+PLACE: Final = (
+    select(Satellite.id, Magnetometer, TelemetrySession.id)
+    .select_from(Satellite)
+    .outerjoin(
+        Magnetometer, and_(Magnetometer.satellite_id == Satellite.id, Magnetometer.id == bindparam("magnetometer_id"))
+    )
+    .outerjoin(
+        TelemetrySession,
+        and_(
+            TelemetrySession.satellite_id == Magnetometer.satellite_id,
+            TelemetrySession.magnetometer_id == Magnetometer.id,
+            TelemetrySession.sha256 == bindparam("sha256"),
+        ),
+    )
+    .where(Satellite.id == bindparam("satellite_id"))
+)
+"""Satellite, magnetometer and session of certain bytes, as far as there are any: made once, asked in one go."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +149,22 @@ class SessionRepository:
             statement = statement.where(TelemetrySession.data_from <= query.until)
         return fetch_page(self.session, statement, (TelemetrySession.id,), query)
 
+    def place_of(self, satellite_id: str, magnetometer_id: str, sha256: str | None) -> tuple[Magnetometer, str | None]:
+        """Return the magnetometer of an upload, and the id of the session that its bytes are already, if there is one.
+
+        Raises
+        ------
+        NotFoundError
+            There is no such satellite within the caller's reach, or it has no such magnetometer.
+        """
+        asked = {"satellite_id": satellite_id, "magnetometer_id": magnetometer_id, "sha256": sha256}
+        row = self.session.execute(PLACE, asked).first() if self.caller.reaches(satellite_id) else None
+        if row is None:
+            raise NotFoundError("no such satellite")
+        if row[1] is None:
+            raise NotFoundError("the satellite has no such magnetometer")
+        return row[1], row[2]
+
     def find_content(self, satellite_id: str, magnetometer_id: str, sha256: str) -> TelemetrySession | None:
         """Return the session that these bytes are already, if there is one."""
         return self.session.scalar(
@@ -154,9 +193,7 @@ class SessionRepository:
         }
         values |= NOTHING if parsed is None else parsed.added_to(None)
         connection = self.session.connection()
-        insert = postgresql.insert if connection.dialect.name == "postgresql" else sqlite.insert
-        made = insert(SESSIONS).on_conflict_do_nothing().returning(SESSIONS.c.id)
-        if connection.execute(made, values).first() is None:
+        if connection.execute(NEW_SESSION[connection.dialect.name], values).first() is None:
             found = self.find_content(satellite_id, magnetometer_id, sha256 or "")
             if found is None:
                 raise ConflictError("the session was made and removed at the same time")
@@ -203,7 +240,7 @@ class SessionRepository:
             "columns_sha256": store.put(self.session, columns_key(row.id, sequence), parsed.columns),
             "created_at": utc_now(),
         }
-        self.session.connection().execute(CHUNKS.insert(), values)
+        self.session.connection().execute(NEW_CHUNK, values)
 
     def chunks(self, session_id: str) -> Sequence[Chunk]:
         """Return the chunks of a session in the order of their arrival."""

@@ -117,6 +117,12 @@ def sweep_incoming(settings: Settings) -> int:
     return len(left)
 
 
+def is_short(request: Request) -> bool:
+    """Return whether the request declares a body that is as soon read as refused."""
+    text = request.headers.get("content-length", "")
+    return text.isascii() and text.isdigit() and int(text) <= IN_MEMORY_BYTES
+
+
 def check_declared(request: Request, settings: Settings) -> int:
     """Return the declared size of the body, bytes, 0 where there is none; refuse it before any of it is read.
 
