@@ -1,9 +1,8 @@
-"""The dashboard's pages: shells that carry no data, filled in the browser from the public API; and the login."""
+"""The dashboard's pages, filled in the browser from the public API, whose first answers they bring along; the login."""
 
 from __future__ import annotations
 
 from functools import cache
-from importlib import resources
 from typing import TYPE_CHECKING, Annotated, Final
 from urllib.parse import parse_qsl
 
@@ -11,7 +10,9 @@ from fastapi import APIRouter, Depends, Request, Response
 from fastapi.responses import HTMLResponse, JSONResponse, RedirectResponse
 
 from app.auth import LOGIN_COOKIE, FailureLimiter, authenticate, is_same_origin, verify_key
+from app.dashboard import assets, brought
 from app.errors import TooManyFailuresError, UnauthorizedError
+from app.figures.page import script_json
 from app.keys.repository import KEY_FORM, Caller, KeyRepository
 from app.resources import Config, Db
 
@@ -42,16 +43,9 @@ def templates() -> Environment:
     return Environment(loader=PackageLoader("app.dashboard"), autoescape=True, undefined=StrictUndefined)
 
 
-@cache
-def asset_version() -> str:
-    """Return the version of the plot library, which is part of its address."""
-    from importlib.metadata import version
-
-    return version("plotly")
-
-
 def _render(name: str, status: int = 200, **values: object) -> HTMLResponse:
-    page = templates().get_template(name).render(plotly_version=asset_version(), **values)
+    known = {"plotly_version": assets.plotly_version(), "static": f"/static/{assets.static_version()}"}
+    page = templates().get_template(name).render(known, **values)
     return HTMLResponse(page, status, headers=PAGE_HEADERS)
 
 
@@ -62,54 +56,64 @@ def _caller(request: Request) -> Caller | None:
         return None
 
 
-def _page(request: Request, template: str, title: str) -> HTMLResponse:
+def _page(request: Request, template: str, title: str, ask: brought.Bringer | None = None) -> HTMLResponse:
     caller = _caller(request)
     if caller is None:
         address = request.url.path + (f"?{request.url.query}" if request.url.query else "")
         return _render("login.html", title="Sign in", target=address, message="")
-    return _render(template, title=title, script=template.removesuffix(".html"), scopes=sorted(caller.scopes))
+    script = template.replace(".html", ".js")
+    answers = brought.brought(ask, caller, request.app.state.database, request.app.state.texts)
+    return _render(
+        template,
+        title=title,
+        script=script,
+        modules=assets.modules(script),
+        scopes=sorted(caller.scopes),
+        answers={path: script_json(text) for path, text in answers.items()},
+    )
 
 
 @router.get("/")
 def overview_page(request: Request) -> HTMLResponse:
     """Show every satellite with its state at a glance."""
-    return _page(request, "overview.html", "Satellites")
+    return _page(request, "overview.html", "Satellites", brought.of_overview)
 
 
 @router.get("/satellites/{satellite_id}")
 def satellite_page(satellite_id: str, request: Request) -> HTMLResponse:
     """Show a satellite: its history, sessions, parameter sets and orbits."""
-    return _page(request, "satellite.html", satellite_id)
+    return _page(request, "satellite.html", satellite_id, brought.of_satellite(satellite_id))
 
 
 @router.get("/sessions/{session_id}")
 def session_page(session_id: str, request: Request) -> HTMLResponse:
     """Show a session."""
-    return _page(request, "session.html", f"Session {session_id}")
+    return _page(request, "session.html", f"Session {session_id}", brought.of_session(session_id))
 
 
 @router.get("/parameter-sets/{set_id}")
 def parameter_set_page(set_id: str, request: Request) -> HTMLResponse:
     """Show a parameter set, its verdict first."""
-    return _page(request, "parameter_set.html", f"Parameter set {set_id}")
+    return _page(request, "parameter_set.html", f"Parameter set {set_id}", brought.of_parameter_sets(set_id))
 
 
 @router.get("/compare")
 def compare_page(request: Request) -> HTMLResponse:
     """Show two parameter sets side by side."""
-    return _page(request, "compare.html", "Compare parameter sets")
+    asked = [one for name in ("first", "second") if (one := request.query_params.get(name))]
+    return _page(request, "compare.html", "Compare parameter sets", brought.of_parameter_sets(*dict.fromkeys(asked)))
 
 
 @router.get("/jobs")
 def jobs_page(request: Request) -> HTMLResponse:
     """Show the jobs, live."""
-    return _page(request, "jobs.html", "Jobs")
+    return _page(request, "jobs.html", "Jobs", brought.of_jobs)
 
 
 @router.get("/keys")
 def keys_page(request: Request) -> HTMLResponse:
     """Show the keys and the audit trail."""
-    return _page(request, "keys.html", "Keys")
+    return _page(request, "keys.html", "Keys", brought.of_keys)
 
 
 async def form_fields(request: Request) -> dict[str, str]:
@@ -183,60 +187,4 @@ def _own_path(target: str) -> str:
     return target if is_own else "/"
 
 
-@router.get("/assets/plotly-{version}.min.js")
-def plotly_asset(version: str, request: Request) -> Response:
-    """Serve the plot library from its package; its address names its version, so that it is loaded once."""
-    etag = f'"plotly-{asset_version()}"'
-    headers = {"ETag": etag, "Cache-Control": "public, max-age=31536000, immutable", "Vary": "Accept-Encoding"}
-    if version != asset_version():
-        return Response(status_code=404)
-    if request.headers.get("if-none-match") == etag:
-        return Response(status_code=304, headers=headers)
-    if "gzip" in request.headers.get("accept-encoding", ""):
-        headers["Content-Encoding"] = "gzip"
-        return Response(_plotly_gzip(), headers=headers, media_type="text/javascript; charset=utf-8")
-    return Response(_plotly(), headers=headers, media_type="text/javascript; charset=utf-8")
-
-
-def _plotly() -> bytes:
-    return (resources.files("plotly") / "package_data" / "plotly.min.js").read_bytes()
-
-
-@cache
-def _plotly_gzip() -> bytes:
-    import gzip
-
-    return gzip.compress(_plotly(), 6, mtime=0)
-
-
-STATIC_TYPES: Final = {
-    ".js": "text/javascript; charset=utf-8",
-    ".css": "text/css; charset=utf-8",
-    ".svg": "image/svg+xml",
-}
-
-
-@cache
-def _static() -> dict[str, tuple[bytes, str, str]]:
-    """Return name -> content, media type and ETag of the dashboard's own files, read once."""
-    import hashlib
-
-    found = {}
-    for path in (resources.files("app.dashboard") / "static").iterdir():
-        suffix = "." + path.name.rpartition(".")[2]
-        if suffix in STATIC_TYPES:
-            content = path.read_bytes()
-            found[path.name] = content, STATIC_TYPES[suffix], f'"{hashlib.sha256(content).hexdigest()[:32]}"'
-    return found
-
-
-@router.get("/static/{name}")
-def static_file(name: str, request: Request) -> Response:
-    """Serve a file of the dashboard; the browser asks each time whether it has changed."""
-    if name not in _static():
-        return Response(status_code=404)
-    content, media_type, etag = _static()[name]
-    headers = {"ETag": etag, "Cache-Control": "no-cache", "X-Content-Type-Options": "nosniff"}
-    if request.headers.get("if-none-match") == etag:
-        return Response(status_code=304, headers=headers)
-    return Response(content, headers=headers, media_type=media_type)
+router.routes.extend(assets.router.routes)

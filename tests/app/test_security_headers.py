@@ -11,7 +11,7 @@ PATHS = [
     "/docs",
     "/openapi.json",
     "/healthz",
-    "/static/style.css",
+    "/static/0/style.css",
     "/nowhere",
     "/api/v1/satellites",
 ]

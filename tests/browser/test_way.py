@@ -80,6 +80,7 @@ def test_from_an_empty_service_to_an_activated_set_and_back(
     page.goto(first)
     expect(page.locator(".badge.status-active")).to_be_visible()
 
+    page.get_by_role("heading", name="Compare").scroll_into_view_if_needed()
     page.get_by_label("With").select_option(second[-32:])
     page.get_by_role("button", name="Compare").click()
     expect(page.get_by_role("heading", name="Compare parameter sets")).to_be_visible()

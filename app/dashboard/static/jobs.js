@@ -1,9 +1,11 @@
 // The queue, live: progress, cancel, retry.
-import { ago, h, listed, may, notice, section, short, show, start, state, time } from "./magcal.js";
+import { ago, h, listed, may, notice, painted, short, show, start, state, time } from "./magcal.js";
 import { cancel, ENDED, retry, watch } from "./job.js";
 import { table } from "./table.js";
 
 const MOST_WATCHED = 4; // browsers keep six connections to one server
+const FIRST = 50;
+const MOST = 500;
 
 function result(job) {
   if (job.result?.parameter_set_id) return h("a", { href: `/parameter-sets/${job.result.parameter_set_id}` }, `set ${short(job.result.parameter_set_id)}`);
@@ -41,22 +43,28 @@ start(async () => {
   const place = h("div");
   let sources = [];
   let timer = null;
-  async function draw() {
+  let known = "";
+  async function draw(most = MOST) {
     clearTimeout(timer);
     sources.forEach((source) => source.close());
-    const jobs = await listed("/jobs", 500);
-    place.replaceChildren(table(columns(draw), jobs, { caption: "Jobs", file: "jobs", empty: "No job yet. A calibration is started on a session's page." }));
+    const jobs = await listed("/jobs", most);
+    const isRead = place.querySelector("details[open]") && known === JSON.stringify(jobs);
+    known = JSON.stringify(jobs);
+    if (place.firstChild?.renew && !isRead) place.firstChild.renew(jobs);
+    else if (!isRead) place.replaceChildren(table(columns(() => draw()), jobs, { caption: "Jobs", file: "jobs", empty: "No job yet. A calibration is started on a session's page." }));
     const active = jobs.filter((job) => !ENDED.has(job.state));
     sources = active.slice(0, MOST_WATCHED).map((job) => {
-      let known = job.state;
+      let last = job.state;
       return watch(job.id, (now) => {
         const bar = place.querySelector(`progress[aria-label="Progress of ${short(now.id)}"]`);
         if (bar) bar.value = now.progress;
-        if (now.state !== known) { known = now.state; draw(); }
+        if (now.state !== last) { last = now.state; draw(); }
       });
     });
     timer = setTimeout(draw, active.length > MOST_WATCHED ? 3000 : 10000);
   }
   show(h("h1", {}, "Jobs"), place);
+  await draw(FIRST);
+  await painted();
   await draw();
 });

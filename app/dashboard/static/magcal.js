@@ -11,7 +11,16 @@ export class Problem extends Error {
   }
 }
 
+// Answers that the page has brought along. Each is taken once: what is asked again is asked of the service.
+function brought(path) {
+  const node = document.querySelector(`script[data-answer="${CSS.escape(path)}"]`);
+  node?.remove();
+  return node ? JSON.parse(node.textContent) : null;
+}
+
 export async function api(path, { method = "GET", json, body, headers = {}, seen } = {}) {
+  const known = method === "GET" ? brought(path) : null;
+  if (known) return known;
   const answer = await fetch(`/api/v1${path}`, {
     method,
     headers: { Accept: "application/json", ...(json ? { "Content-Type": "application/json" } : {}), ...headers },
@@ -49,6 +58,12 @@ export function h(tag, attributes = {}, ...children) {
   node.append(...children.flat(3).filter((child) => child !== null && child !== undefined && child !== false));
   return node;
 }
+
+// Resolves once what was shown is painted: what a reader does not wait for begins after that.
+export const painted = () => new Promise((resolve) => {
+  if (document.hidden) resolve();
+  else requestAnimationFrame(() => setTimeout(resolve));
+});
 
 export function show(...children) {
   document.getElementById("main").replaceChildren(...children.flat(2).filter(Boolean));

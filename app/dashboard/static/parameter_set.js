@@ -1,7 +1,7 @@
 // One parameter set: the verdict and its reasons first, then numbers, then figures; activate and roll back.
 import { api, confirm, facts, fixed, form, field, grade, h, listed, may, notice, nt, option, section, short, show, start, SYMBOLS, tiles, time, title } from "./magcal.js";
 import { differenceTable, parameterTable, statisticsTable } from "./parameters.js";
-import { plot } from "./plot.js";
+import { plot, whenNear } from "./plot.js";
 import { table } from "./table.js";
 
 const id = location.pathname.split("/")[2];
@@ -174,8 +174,10 @@ async function draw() {
     section("Compare", others),
     section("Export for flight software", exporter(record)),
     section("Provenance", provenance(record)));
-  const rows = await listed(`/satellites/${record.satellite}/history?magnetometer=${encodeURIComponent(record.magnetometer)}`, 1000);
-  others.replaceChildren(comparer(record, rows));
+  whenNear(others, async () => {
+    const rows = await listed(`/satellites/${record.satellite}/history?magnetometer=${encodeURIComponent(record.magnetometer)}`, 1000);
+    others.replaceChildren(comparer(record, rows));
+  });
 }
 
 start(draw);

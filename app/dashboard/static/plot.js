@@ -11,13 +11,21 @@ function plotly() {
   return library;
 }
 
+const awaited = new WeakMap();
 const near = new IntersectionObserver((entries) => {
-  for (const entry of entries) {
-    if (!entry.isIntersecting) continue;
-    near.unobserve(entry.target);
-    draw(entry.target);
+  for (const { isIntersecting, target } of entries) {
+    if (!isIntersecting) continue;
+    near.unobserve(target);
+    awaited.get(target)();
+    awaited.delete(target);
   }
 }, { rootMargin: "600px" });
+
+// Once the page has its numbers and the node is near the screen.
+export function whenNear(node, act) {
+  awaited.set(node, act);
+  near.observe(node);
+}
 
 async function draw(node) {
   const theme = document.documentElement.dataset.theme;
@@ -41,7 +49,7 @@ async function draw(node) {
 export function plot(address, heading, caption, height = 360) {
   const node = h("div", { class: "plot", role: "group", "aria-label": heading, "aria-busy": "true", "data-address": address });
   node.style.minHeight = `${height}px`;
-  near.observe(node);
+  whenNear(node, () => draw(node));
   return h("figure", {}, h("h3", {}, heading), node, caption ? h("figcaption", {}, caption) : null);
 }
 

@@ -1,5 +1,5 @@
 // One satellite: state, history, sessions, parameter sets, orbits, upload.
-import { age, api, field, fixed, form, grade, h, listed, may, notice, nt, option, section, short, show, start, tiles, time, title } from "./magcal.js";
+import { age, api, field, fixed, form, grade, h, listed, may, notice, nt, option, painted, section, short, show, start, tiles, time, title } from "./magcal.js";
 import { plot, replot } from "./plot.js";
 import { table } from "./table.js";
 import { uploader } from "./upload.js";
@@ -131,10 +131,12 @@ start(async () => {
       may("ingest", "operate") ? h("details", { open: !rows.length }, h("summary", {}, "Add an orbit"), addOrbit()) : "");
   }
   document.addEventListener("orbits", orbits);
+  await painted();
   const [sets, sessions] = await Promise.all([
     listed(`/satellites/${id}/history`, 1000), listed(`/sessions?satellite=${id}`, 1000), orbits()]);
+  const newestOf = new Map([...sets].reverse().flatMap((row) => row.session_ids.map((one) => [one, row])));
   for (const session of sessions) {
-    const newest = sets.find((row) => row.session_ids.includes(session.id));
+    const newest = newestOf.get(session.id);
     session.grade = newest?.grade;
     session.set_id = newest?.id;
   }

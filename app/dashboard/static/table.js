@@ -4,6 +4,7 @@ import { h } from "./magcal.js";
 const PAGE = 50;
 
 // columns: [{ name, value: row => number|string, show?: row => text or node, numeric?: bool, heads?: bool, strong?: bool }]
+// The table's own `renew(rows)` shows other rows, sorted and filtered as before.
 export function table(columns, rows, { caption, file = "table", empty = "Nothing here yet.", sort = null, note = null, look = () => "" } = {}) {
   if (!rows.length) return h("p", { class: "muted" }, empty);
   const order = { column: sort?.column ?? null, up: sort?.up ?? false };
@@ -64,8 +65,10 @@ export function table(columns, rows, { caption, file = "table", empty = "Nothing
   }
 
   draw();
-  return h("div", { class: "table" },
+  const node = h("div", { class: "table" },
     h("div", { class: "tools" }, filter, count, h("button", { type: "button", class: "quiet", onclick: save, "aria-label": `Save ${caption} as CSV` }, "CSV")),
     h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": caption },
       h("table", {}, note ? h("caption", {}, note) : null, h("thead", {}, h("tr", {}, head)), body)), more);
+  node.renew = (others) => { rows = others; draw(); };
+  return node;
 }

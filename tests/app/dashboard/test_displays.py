@@ -1,28 +1,16 @@
 """What displays are drawn from: the same numbers as the records, and no more than the key may see."""
 
-import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import httpx2
 import numpy as np
 import pytest
 
 from app.dashboard.schemas import HistoryFigure, SessionFigure, SetFigure
-from app.demo.mission import SESSIONS, simulated, tle_text
-from magcal_core.telemetry import write_samples
 
 SET_FIGURES = SetFigure.__args__
 SESSION_FIGURES = SessionFigure.__args__
 HISTORY_FIGURES = HistoryFigure.__args__
-
-
-@dataclass(frozen=True)
-class Mission:
-    satellite: str
-    session: str
-    first: str
-    second: str
 
 
 @pytest.fixture(scope="module")
@@ -31,34 +19,7 @@ def api(service) -> Iterator[httpx2.Client]:
         yield client
 
 
-@pytest.fixture(scope="module")
-def mission(api) -> Mission:
-    """One session, calibrated twice; the first set is in force, then the second."""
-    api.post("/satellites", json={"id": "displayed"}).raise_for_status()
-    api.post("/satellites/displayed/magnetometers", json={"id": "mgm", "unit": "nT"}).raise_for_status()
-    api.post("/satellites/displayed/orbits", content=tle_text(), headers={"content-type": "text/plain"})
-    telemetry = write_samples(simulated(SESSIONS[0], 500).samples, "csv")
-    path = "/satellites/displayed/sessions?magnetometer=mgm"
-    session = api.post(path, content=telemetry, headers={"content-type": "text/csv"}).json()["id"]
-    sets = [calibrated(api, session, method) for method in ("scalar", "vector")]
-    for one in sets:
-        api.post(f"/parameter-sets/{one}/activate").raise_for_status()
-    return Mission("displayed", session, *sets)
-
-
-def calibrated(api: httpx2.Client, session: str, method: str) -> str:
-    body = {"kind": "calibration", "session_ids": [session], "method": method}
-    job = api.post("/jobs", json=body).raise_for_status().json()
-    deadline = time.monotonic() + 60
-    while job["state"] in {"queued", "running"}:
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-        job = api.get(f"/jobs/{job['id']}").json()
-    assert job["state"] == "succeeded", job
-    return job["result"]["parameter_set_id"]
-
-
-def paths(mission: Mission) -> list[str]:
+def paths(mission) -> list[str]:
     return [
         f"/overview?satellite={mission.satellite}",
         f"/satellites/{mission.satellite}/history",

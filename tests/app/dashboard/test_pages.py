@@ -1,6 +1,8 @@
 """Pages and login: nothing without a key, nothing for other sites, nothing from elsewhere."""
 
 import gzip
+import html
+import json
 import re
 from collections.abc import Callable, Iterator
 from importlib import resources
@@ -112,7 +114,7 @@ def test_a_page_has_no_script_inside_and_names_no_other_host(visitor, service, p
     assert policy["default-src"] == "'none'"
     assert policy["script-src"] == "'self'"
     assert policy["frame-ancestors"] == "'none'"
-    assert re.findall(r"<script(?![^>]*\bsrc=)", answer.text) == []
+    assert re.findall(r"<script(?![^>]*(?:\bsrc=|type=\"application/json\"))", answer.text) == []
     assert re.findall(r"\son[a-z]+=", answer.text) == []
     assert re.findall(r"(?:https?:)?//[a-z]", answer.text) == []
 
@@ -123,12 +125,90 @@ def test_text_in_an_address_cannot_become_markup(visitor, service):
     assert "<img" not in answer.text
 
 
+def version_of_files(visitor: httpx2.Client) -> str:
+    return re.findall(r"/static/(\w+)/theme\.js", visitor.get("/").text)[0]
+
+
 @pytest.mark.parametrize("name", STATIC)
-def test_a_file_of_the_dashboard_is_served_and_revalidated(visitor, name):
-    first = visitor.get(f"/static/{name}")
-    assert (first.status_code, first.headers["cache-control"]) == (200, "no-cache")
-    again = visitor.get(f"/static/{name}", headers={"If-None-Match": first.headers["etag"]})
+def test_a_file_of_the_dashboard_is_kept_under_the_address_of_its_version(visitor, name):
+    address = f"/static/{version_of_files(visitor)}/{name}"
+    first = visitor.get(address)
+    assert (first.status_code, first.text) == (200, STATIC[name])
+    assert first.headers["cache-control"] == "public, max-age=31536000, immutable"
+    again = visitor.get(address, headers={"If-None-Match": first.headers["etag"]})
     assert (again.status_code, again.content) == (304, b"")
+
+
+def test_a_page_of_another_version_gets_files_that_are_not_kept(visitor):
+    answer = visitor.get("/static/0000000000000000/style.css")
+    assert (answer.text, answer.headers["cache-control"]) == (STATIC["style.css"], "no-cache")
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_a_page_names_every_module_that_it_will_import(visitor, service, page):
+    """Modules that are named are loaded side by side; else each waits for the one that imports it."""
+    sign_in(visitor, service.admin_key)
+    text = visitor.get(page).text
+    named = set(re.findall(r'rel="modulepreload" href="/static/\w+/([\w.]+)"', text))
+    (script,) = re.findall(r'<script type="module" src="/static/\w+/([\w.]+)"', text)
+    wanted = {script, *named}
+    imported = {name for one in wanted for name in re.findall(r'from "\./([\w.]+)"', STATIC[one])}
+    assert imported - {script} == named
+
+
+def brought(page: str) -> dict[str, object]:
+    """Return the answers that a page brings along."""
+    found = re.findall(r'<script type="application/json" data-answer="([^"]+)">(.*?)</script>', page)
+    return {html.unescape(path): json.loads(text) for path, text in found}
+
+
+@pytest.fixture
+def shown(mission) -> dict[str, set[str]]:
+    """Page -> paths of the API whose answers it brings along."""
+    satellite, session, sets = mission.satellite, mission.session, (mission.first, mission.second)
+    return {
+        "/": {"/overview?limit=1000"},
+        f"/satellites/{satellite}": {f"/satellites/{satellite}", f"/overview?satellite={satellite}"},
+        f"/sessions/{session}": {f"/sessions/{session}"},
+        f"/parameter-sets/{sets[0]}": {f"/parameter-sets/{sets[0]}"},
+        f"/compare?first={sets[0]}&second={sets[1]}": {f"/parameter-sets/{one}" for one in sets},
+        "/jobs": {"/jobs?limit=50"},
+        "/keys": {"/keys?limit=1000"},
+    }
+
+
+def test_what_a_page_brings_along_is_what_the_api_answers(visitor, service, api, shown):
+    sign_in(visitor, service.admin_key)
+    for page, paths in shown.items():
+        found = brought(visitor.get(page).text)
+        assert set(found) == paths
+        for path, answer in found.items():
+            assert answer == api.get(path).raise_for_status().json(), path
+
+
+def test_a_page_brings_along_only_what_the_key_may_see(visitor, service, api, shown, names):
+    other = next(names)
+    api.post("/satellites", json={"id": other}).raise_for_status()
+    own = {}
+    for key in (service.key("ingest"), service.key("read", satellites=[other])):
+        sign_in(visitor, key)
+        own[key] = [brought(visitor.get(page).text) for page in shown]
+    blind, bound = own.values()
+    assert not any(blind)
+    assert {row["satellite"] for row in bound[0]["/overview?limit=1000"]["items"]} == {other}
+    assert bound[1:5] == [{}] * 4
+    assert bound[5]["/jobs?limit=50"]["items"] == []
+    assert bound[6] == {}
+
+
+def test_what_a_page_brings_along_cannot_become_markup(visitor, service, api, names):
+    satellite = next(names)
+    name = "</script><img src=x onerror=alert(1)>"
+    api.post("/satellites", json={"id": satellite, "name": name}).raise_for_status()
+    sign_in(visitor, service.admin_key)
+    text = visitor.get(f"/satellites/{satellite}").text
+    assert "<img" not in text
+    assert brought(text)[f"/satellites/{satellite}"]["name"] == name
 
 
 def test_the_dashboard_s_own_code_names_no_other_host():
@@ -145,7 +225,7 @@ def test_every_module_that_is_imported_is_there():
 
 @pytest.mark.parametrize("name", ["missing.js", "..%2fpages.py", "%2e%2e/pages.py", "style.css%00"])
 def test_what_is_no_file_of_the_dashboard_is_not_served(visitor, name):
-    assert visitor.get(f"/static/{name}").status_code == 404
+    assert visitor.get(f"/static/{version_of_files(visitor)}/{name}").status_code == 404
 
 
 def test_the_plot_library_is_packed_kept_for_a_year_and_known_again(visitor):
