@@ -1,4 +1,9 @@
-"""The dashboard in a real browser with a history of 1,000 parameter sets and a session of 100,000 samples."""
+"""The dashboard in a real browser with a history of 1,000 parameter sets and a session of 100,000 samples.
+
+First numbers are there when a cell or tile with a digit in it has been painted, told by the page itself from the
+beginning of its navigation; the page before has come to rest by then. The note says when the page, which goes on with
+its figures, also answered the program that drives the browser.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +19,7 @@ import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import httpx2
 import numpy as np
@@ -25,6 +30,9 @@ from magcal_core.orbit.sgp4 import Sgp4Orbit
 from magcal_core.simulation import simulate
 from magcal_core.telemetry import write_samples
 
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
 ROOM: Final = "pages"
 SAMPLES: Final = 100_000
 SETS: Final = 1000
@@ -32,6 +40,15 @@ ROUNDS: Final = 3
 NUMBERS_AIM_S: Final = 0.5
 PLOTS_AIM_S: Final = 3.0
 BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome")
+NUMBERS: Final = """
+new MutationObserver((_changes, watch) => {
+  const cells = [...document.querySelectorAll(".tiles dd, tbody td")];
+  if (!cells.some((cell) => /\\d/.test(cell.textContent) && cell.checkVisibility())) return;
+  watch.disconnect();
+  requestAnimationFrame(() => setTimeout(() => { window.numbersMs = performance.now(); }));
+}).observe(document, { subtree: true, childList: true, characterData: true });
+"""
+"""Run in every page before its own scripts."""
 FLAGS: Final = ["--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking"]
 
 
@@ -126,23 +143,33 @@ def _look(engine: str, url: str, key: str, pages: dict[str, str]) -> Iterator[Fi
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=engine, args=FLAGS)
         page = browser.new_page(viewport={"width": 1366, "height": 768})
+        page.add_init_script(NUMBERS)
         page.goto(url)
         page.get_by_label("Key").fill(key)
         page.get_by_role("button", name="Sign in").click()
         page.get_by_role("button", name="Sign out").wait_for()
         for name, path in pages.items():
-            numbers, drawn = [], []
+            numbers, answered, drawn = [], [], []
             for _ in range(ROUNDS + 1):
+                _rest(page)
                 page.goto(url + path, wait_until="commit")
-                page.locator(".tiles dd, tbody td").first.wait_for()
-                numbers.append(page.evaluate("() => performance.now()") / 1e3)
+                page.wait_for_function("() => window.numbersMs")
+                answered.append(page.evaluate("() => performance.now()") / 1e3)
+                numbers.append(page.evaluate("() => window.numbersMs") / 1e3)
                 if "satellite" in name or "set" in name or "session" in name:
                     page.locator(".plot").first.scroll_into_view_if_needed()
                     page.locator(".plot[data-drawn]").first.wait_for(timeout=60_000)
                     drawn.append(page.evaluate("() => performance.now()") / 1e3)
-            first = statistics.median(numbers[1:])
-            yield Figure(ROOM, f"{name}: first numbers", first, "s", f"< {NUMBERS_AIM_S} s", first < NUMBERS_AIM_S)
+            first, told = (statistics.median(times[1:]) for times in (numbers, answered))
+            what, is_met, note = f"{name}: first numbers", first < NUMBERS_AIM_S, f"driver answered after {told:.2f} s"
+            yield Figure(ROOM, what, first, "s", f"< {NUMBERS_AIM_S} s", is_met, note)
             if drawn:
                 last = statistics.median(drawn[1:])
                 yield Figure(ROOM, f"{name}: first figure drawn", last, "s", f"< {PLOTS_AIM_S} s", last < PLOTS_AIM_S)
         browser.close()
+
+
+def _rest(page: Page) -> None:
+    """Wait until the page asks for nothing and its thread is idle, so that it costs the next one nothing."""
+    page.wait_for_load_state("networkidle")
+    page.evaluate("() => new Promise((resolve) => requestIdleCallback(resolve))")
