@@ -24,7 +24,8 @@ from sqlalchemy import (
     make_url,
 )
 from sqlalchemy.dialects.postgresql import JSONB
-from sqlalchemy.engine.interfaces import DBAPIConnection
+from sqlalchemy.engine.interfaces import DBAPIConnection, ExceptionContext
+from sqlalchemy.exc import OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.orm import DeclarativeBase, Session
@@ -39,6 +40,8 @@ WRITES: Final = "magcal_writes"
 POOL_SIZE: Final = 32
 LONGEST_TURN_S: Final = 15.0
 """A writer of a process that has not had its turn for so long gives up; threads must not pile up behind a lock."""
+UNSYNCED: Final = frozenset({"SQLITE_IOERR_FSYNC", "SQLITE_IOERR_DIR_FSYNC"})
+"""How SQLite tells of a sync that failed; PostgreSQL ends its server then, and recovers."""
 POSTGRES_OPTIONS: Final = (
     "-c timezone=UTC -c synchronous_commit=on -c statement_timeout=60000 -c lock_timeout=5000 "
     "-c idle_in_transaction_session_timeout=120000"
@@ -114,7 +117,8 @@ class Database:
     """One engine for reading and one for writing over the same pool.
 
     On SQLite a writing transaction begins with ``BEGIN IMMEDIATE`` and the writers of a process queue for one lock,
-    so that they wait in line rather than in SQLite's polling.
+    so that they wait in line rather than in SQLite's polling. After a failed sync the kernel may have dropped what was
+    written, so the process writes no more, rather than sync again as if nothing had happened.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -123,6 +127,9 @@ class Database:
         self._write_engine = self.engine.execution_options(**{WRITES: True})
         self._writer = threading.Lock()
         self._watcher = _watcher_of(settings) if self.is_sqlite else None
+        self._failure: OperationalError | None = None
+        if self.is_sqlite:
+            event.listen(self.engine, "handle_error", self._note)
 
     @contextmanager
     def read(self) -> Iterator[Session]:
@@ -142,9 +149,20 @@ class Database:
         if not self._writer.acquire(timeout=LONGEST_TURN_S):
             raise PoolTimeoutError(f"no turn to write within {LONGEST_TURN_S:g} s")
         try:
+            self.check()
             yield
         finally:
             self._writer.release()
+
+    def _note(self, context: ExceptionContext) -> None:
+        error = context.sqlalchemy_exception
+        if isinstance(error, OperationalError) and getattr(error.orig, "sqlite_errorname", None) in UNSYNCED:
+            self._failure = error
+
+    def check(self) -> None:
+        """Raise OperationalError where a sync has failed in this process, which then must be started anew."""
+        if self._failure is not None and self._failure.orig is not None:
+            raise OperationalError("a sync failed before", None, self._failure.orig)
 
     def revision(self) -> int | None:
         """Return a number that any process's next commit changes; None on PostgreSQL, which has none at hand."""

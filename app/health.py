@@ -70,6 +70,7 @@ def _state(is_good: bool) -> State:
 
 def _database(db: Db) -> State:
     try:
+        db.check()
         with db.read() as session:
             session.execute(text("SELECT 1"))
     except SQLAlchemyError as error:
