@@ -24,9 +24,11 @@ FIRST: Final = b"first"
 NEGATIVE_ZEROS: Final = b"negative_zeros"
 MOST_NEGATIVE_ZEROS: Final = 100
 NAN_BITS: Final = int(np.array(np.nan).view(np.int64))
-DECIMALS: Final = range(7)
-PROBED: Final = 1000
-"""Values that are looked at before a whole column is."""
+SCALES: Final = 10.0 ** np.arange(7)
+PROBED: Final = 64
+"""Values that tell how many decimals a column may have, before all of it is looked at."""
+SMALL_ROWS: Final = 10_000
+"""Columns up to this length are compressed by the thread at hand: to wake others costs more than they save."""
 MOST_ROWS_AT_ONCE: Final = 1 << 18
 """Rows that are compressed together: it bounds the memory that a long session takes beside its columns."""
 BLOCK: Final = 1 << 14
@@ -38,7 +40,8 @@ def encode(samples: Samples) -> bytes:
     packed = [_packed(name, pa.array(np.ascontiguousarray(values))) for name, values in _columns(samples)]
     table = pa.Table.from_arrays([values for _, values in packed], schema=pa.schema([one for one, _ in packed]))
     sink = pa.BufferOutputStream()
-    with pa.ipc.new_file(sink, table.schema, options=pa.ipc.IpcWriteOptions(compression="zstd")) as writer:
+    options = pa.ipc.IpcWriteOptions(compression="zstd", use_threads=len(samples) > SMALL_ROWS)
+    with pa.ipc.new_file(sink, table.schema, options=options) as writer:
         writer.write_table(table, max_chunksize=MOST_ROWS_AT_ONCE)
     content: bytes = sink.getvalue().to_pybytes()
     return content
@@ -81,18 +84,24 @@ def _packed(name: str, values: pa.Array) -> tuple[pa.Field, pa.Array]:
     """Return a column in the shortest form that gives every bit of it back, and its field, which says in which."""
     plain = values.to_numpy(zero_copy_only=False)
     if plain.dtype == np.float64 and len(plain):
-        for decimals in DECIMALS:
-            if _whole(plain[:PROBED], decimals) is None:
-                continue
-            whole = _whole(plain, decimals)
+        for decimals in _decimals(plain[:PROBED]):
+            whole = _whole(plain, float(SCALES[decimals]))
             if whole is not None:
                 return _as_whole(name, plain, whole, decimals)
-            break
     if plain.dtype == np.dtype("datetime64[ns]") and len(plain):
         ticks = plain.astype(np.int64)
         steps = pa.array(np.diff(ticks, prepend=ticks[:1]))
         return pa.field(name, steps.type, metadata={FIRST: str(ticks[0])}), steps
     return pa.field(name, values.type), values
+
+
+def _decimals(values: Floats) -> list[int]:
+    """Return the least number of decimals that gives ``values`` back, and one more: the rest may need it."""
+    part = values[:, None]
+    with np.errstate(over="ignore"):
+        is_same = (np.rint(part * SCALES) / SCALES == part) | np.isnan(part)
+    enough = np.flatnonzero(is_same.all(axis=0))
+    return [int(one) for one in enough[:2]]
 
 
 def _as_whole(name: str, values: Floats, whole: NDArray[np.int32], decimals: int) -> tuple[pa.Field, pa.Array]:
@@ -109,12 +118,12 @@ def _as_whole(name: str, values: Floats, whole: NDArray[np.int32], decimals: int
     return pa.field(name, column.type, metadata=told), column
 
 
-def _whole(values: Floats, decimals: int) -> NDArray[np.int32] | None:
-    """Return ``values`` times a power of ten as whole numbers of 32 bits, None where that loses a bit of any.
+def _whole(values: Floats, scale: float) -> NDArray[np.int32] | None:
+    """Return ``values`` times ``scale`` as whole numbers of 32 bits, None where that loses a bit of any.
 
     NaN becomes 0, and so do the few negative zeros that there may be; the caller keeps both aside.
     """
-    scale, whole, negative_zeros = 10.0**decimals, np.empty(len(values), np.int32), 0
+    whole, negative_zeros = np.empty(len(values), np.int32), 0
     for at in range(0, len(values), BLOCK):
         part = values[at : at + BLOCK]
         with np.errstate(over="ignore"):

@@ -244,7 +244,7 @@ def report(
     steps_ns = t_ns[1:] - t_ns[:-1]
     if steps_ns.size and steps_ns.min() == 0:
         steps_ns = steps_ns[steps_ns > 0]
-    step_ns = float(np.median(steps_ns)) if steps_ns.size else None
+    step_ns = _median_step(steps_ns) if steps_ns.size else None
     return Quality(
         rows=len(samples) + rows_without_time,
         used=int(np.count_nonzero(samples.is_used)),
@@ -258,6 +258,14 @@ def report(
         gaps=0 if step_ns is None else int(np.count_nonzero(steps_ns > GAP_STEPS * step_ns)),
         longest_gap_s=float(steps_ns.max(initial=0)) / 1e9,
     )
+
+
+def _median_step(steps_ns: NDArray[np.int64]) -> float:
+    """Return the median step; the step of more than half of a regular table is known to be it without a sort."""
+    usual = steps_ns[len(steps_ns) // 2]
+    if 2 * int(np.count_nonzero(steps_ns == usual)) > len(steps_ns):
+        return float(usual)
+    return float(np.median(steps_ns))
 
 
 def count_flags(samples: Samples) -> dict[str, int]:

@@ -186,3 +186,12 @@ def test_bro4_has_2371_usable_samples(bro4_dir: Path) -> None:
     assert (quality.rows, quality.used) == (2411, 2371)
     assert quality.flags["no_reference"] == 40
     assert quality.flags["not_finite"] == 1
+
+
+@pytest.mark.parametrize("regular", range(10))
+def test_the_median_step_is_numpys_however_regular_the_table_is(regular: int) -> None:
+    """Ten steps, some of 10 s and the others longer, where the median is between two of them too."""
+    steps_s = np.array([10] * regular + [10 + 7 * i for i in range(1, 11 - regular)])
+    np.random.default_rng(regular).shuffle(steps_s)
+    rows = "".join(f"{t},30000,-1,2\n" for t in 1_600_000_000 + np.concatenate([[0], np.cumsum(steps_s)]))
+    assert read_telemetry(f"time,bx,by,bz\n{rows}".encode()).quality.step_s == np.median(steps_s)
