@@ -21,8 +21,11 @@ UNCHANGED: Final[dict[int | str, dict[str, Any]]] = {304: {"description": "What 
 API: Final = "/api/"
 TOLD_BY: Final = (b"if-none-match", b"authorization", b"cookie", b"accept", b"accept-encoding")
 """Headers that an answer may depend on."""
-MOST_BYTES: Final = 16 << 20
-LONGEST_BYTES: Final = 1 << 20
+MOST_BYTES: Final = 32 << 20
+LONGEST_BYTES: Final = 12 << 20
+"""A history of 1,000 whole parameter sets has 8 MB."""
+PIECE_BYTES: Final = 256 << 10
+"""What is given to a connection at once; the rest waits here, uncopied, until the client has taken that."""
 ENTRY_BYTES: Final = 2048
 """What an answer takes beside its content, about."""
 
@@ -83,7 +86,7 @@ class Revalidation:
         found = self._known.get(which)
         if found is not None and found.revision == revision and seen_s - found.seen_s < TRUSTED_S:
             await send({**found.start, "headers": list(found.start["headers"])})
-            await send({"type": "http.response.body", "body": found.content})
+            await _send_body(send, found.content)
             return
         await self._app(scope, receive, self._noting(which, revision, seen_s, send))
 
@@ -100,7 +103,10 @@ class Revalidation:
             elif message.get("more_body", False):
                 start = None
             elif start is not None:
-                self._note(which, _Known(revision, seen_s, start, message.get("body", b"")))
+                content: bytes = message.get("body", b"")
+                self._note(which, _Known(revision, seen_s, start, content))
+                await _send_body(send, content)
+                return
             await send(message)
 
         return answer
@@ -113,3 +119,10 @@ class Revalidation:
         self._known[which] = known
         while self._size > MOST_BYTES:
             self._size -= len(self._known.popitem(last=False)[1].content) + ENTRY_BYTES
+
+
+async def _send_body(send: Send, content: bytes) -> None:
+    view = memoryview(content)
+    for begin in range(0, max(len(view), 1), PIECE_BYTES):
+        end = begin + PIECE_BYTES
+        await send({"type": "http.response.body", "body": view[begin:end], "more_body": end < len(view)})

@@ -58,6 +58,11 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
         version="1",
         redoc_url=None,
         lifespan=_lifespan,
+        telemetry={
+            "tracing": False,
+            "metrics": False,
+            "logs": False,
+        },  # nobody configures it; looking costs each request
     )
     database, store = Database(settings), open_store(settings)
     app.state.settings = settings
@@ -85,9 +90,9 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
     app.state.methods = Methods([("", health.router), ("", pages.router), *((API, room) for room in rooms)])
     install_handlers(app)
     app.add_middleware(HeadRequests)
-    app.add_middleware(Revalidation)
     app.add_middleware(RequestLimits)
     app.add_middleware(SecurityHeaders)
+    app.add_middleware(Revalidation)
     app.add_middleware(RequestLog)
     app.add_middleware(UploadGate, most=settings.max_uploads_at_once, most_per_key=settings.max_uploads_per_key)
     return app

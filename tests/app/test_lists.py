@@ -145,6 +145,19 @@ def test_an_answer_from_memory_ends_with_the_next_commit_of_anybody(service):
         assert {one["status"] for one in admin.get("/parameter-sets").json()["items"]} == {"retired"}
 
 
+def test_an_answer_that_is_sent_in_pieces_is_whole_the_first_time_and_from_memory(service, monkeypatch):
+    with service.client() as admin:
+        whole = admin.get("/parameter-sets?limit=7")
+        monkeypatch.setattr("app.conditional.PIECE_BYTES", 999)
+        pieces = [admin.get("/parameter-sets?limit=6") for _ in range(3)]
+        monkeypatch.undo()
+    assert len(whole.content) > 20 * 999
+    for one in pieces:
+        assert one.json()["items"] == whole.json()["items"][:6]
+        assert one.headers["content-length"] == str(len(one.content))
+        assert one.headers.keys() == whole.headers.keys()
+
+
 def test_what_is_kept_at_hand_is_bounded(service, monkeypatch):
     monkeypatch.setattr("app.parameter_sets.listing.MOST_BYTES", 20_000)
     texts = Texts()
