@@ -8,7 +8,7 @@ import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
-from sqlalchemy import MetaData, inspect, select, text
+from sqlalchemy import JSON, MetaData, delete, insert, inspect, select, text
 
 import app.idempotency
 import app.jobs.tables
@@ -19,10 +19,11 @@ import app.sessions.tables
 import app.store  # noqa: F401
 from app.database import Base, Database, utc_now
 from app.demo.mission import SESSIONS, simulated, tle_text
+from app.jobs.claims import claim_one, finish
 from app.jobs.cluster import ClusterQueue
 from app.jobs.embedded import EmbeddedQueue
 from app.jobs.repository import JobRepository
-from app.jobs.schemas import CalibrationBody
+from app.jobs.schemas import CalibrationBody, JobQuery
 from app.keys.repository import SYSTEM, KeyRepository
 from app.migrate import alembic_config, current, head, make_first_key, migrate, upgrade
 from app.orbits.parsing import parse_message
@@ -77,13 +78,22 @@ def test_the_schema_goes_down_to_nothing_and_up_again(database, settings):
 
 def rows_of(database: Database) -> dict[str, list[dict[str, object]]]:
     """Return every row of every table of ours, as the database has it now."""
-    there = MetaData()
-    there.reflect(database.engine, only=[table.name for table in Base.metadata.sorted_tables])
     with database.engine.connect() as connection:
         return {
             table.name: [dict(row) for row in connection.execute(select(table).order_by(*table.primary_key)).mappings()]
-            for table in there.sorted_tables
+            for table in tables_of(database).sorted_tables
         }
+
+
+def tables_of(database: Database) -> MetaData:
+    """Return our tables as the database has them now."""
+    there = MetaData()
+    there.reflect(database.engine, only=lambda name, _: name in Base.metadata.tables)
+    for table in there.sorted_tables:
+        for column in table.columns:
+            if isinstance(column.type, JSON):
+                column.type.none_as_null = True
+    return there
 
 
 def fill(database: Database, settings: Settings) -> None:
@@ -142,6 +152,35 @@ def test_what_a_revision_wrote_and_read_goes_on_under_the_next(database, setting
             assert newest[name][column]["kind"] == kind["kind"], (name, column)
         for column in set(newest[name]) - set(columns):
             assert newest[name][column]["may_be_left_out"], (name, column)
+
+
+@pytest.mark.parametrize("revision", REVISIONS)
+def test_rows_that_a_revision_writes_into_the_newest_schema_are_read_by_both(database, settings, revision):
+    """F22: the tables as that revision knew them, over the newest schema; its jobs are taken up by today's workers."""
+    upgrade(database, settings)
+    fill(database, settings)
+    migrate(database, revision)
+    theirs, rows = tables_of(database), rows_of(database)
+    upgrade(database, settings)
+    with database.write() as session:
+        for table in reversed(Base.metadata.sorted_tables):
+            session.execute(delete(table))
+    with database.write() as session:
+        for table in theirs.sorted_tables:
+            if rows[table.name]:
+                session.execute(insert(table), rows[table.name])
+    with database.read() as session:
+        for table in theirs.sorted_tables:
+            found = session.execute(select(table).order_by(*table.primary_key)).mappings()
+            assert [dict(one) for one in found] == rows[table.name], table.name
+        waiting = [job.id for job in JobRepository(session, SYSTEM).page(JobQuery(state="queued"))[0]]
+        store = open_store(settings)
+        assert all(store.get(session, one["key"], one["sha256"]) for one in rows["blob"])
+    assert sorted(waiting) == sorted(one["id"] for one in rows["job"] if one["state"] == "queued")
+    with database.write() as session:
+        claim = claim_one(session, waiting[0], "worker", 10.0, 3)
+        assert claim is not None
+        finish(session, claim, "succeeded", result={})
 
 
 def columns_of(database: Database) -> dict[str, dict[str, dict[str, object]]]:
