@@ -64,7 +64,7 @@ def scalar_responses(observations: Observations, parameters: Parameters, changes
     p = own.size
     theta, normal, gradient = np.concatenate([own, np.zeros(m)]), np.empty((p + m, p + m)), np.empty(p + m)
     arrays = (o.h_nt, o.b_nt, o.weights, z.columns, np.ascontiguousarray(changes_nt))
-    accumulate(*arrays, theta, 0, 1.0, _PLAIN, normal, gradient)
+    accumulate(*arrays, theta, 0, 1.0, _PLAIN, False, normal, gradient)
     matrix, _, _ = rows_from_theta(own, k)
     to_parameters = rows_jacobian(matrix, z) @ theta_jacobian(own, k)
     return np.asarray(to_parameters @ scaled_inverse(normal[:p, :p]) @ normal[:p, p:])
@@ -117,7 +117,7 @@ def _of_scalar(o: Observations, parameters: Parameters, starts: NDArray[np.intp]
     no_rates = np.zeros((len(o), 0))
     for block, (i, j) in enumerate(itertools.pairwise([*starts.tolist(), len(o)])):
         arrays = (o.h_nt[i:j], o.b_nt[i:j], o.weights[i:j], z.columns[i:j], no_rates[i:j])
-        costs[block] = accumulate(*arrays, theta, 0, 1.0, _PLAIN, normals[block], scores[block])
+        costs[block] = accumulate(*arrays, theta, 0, 1.0, _PLAIN, False, normals[block], scores[block])
     matrix, _, _ = rows_from_theta(theta, k)
     back = np.asarray(np.linalg.inv(rows_jacobian(matrix, z) @ theta_jacobian(theta, k)), np.float64)
     return normals, scores, costs, back

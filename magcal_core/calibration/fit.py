@@ -191,12 +191,16 @@ def check_units(h_nt: Floats, b_nt: Floats) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitSettings:
-    """How to fit: robust loss, noise model, noise of a component (nT, where known), start (for studies)."""
+    """How to fit: robust loss, noise model, noise of a component (nT, where known), start (for studies).
+
+    ``near``: a fit under the same settings to nearly the same data, where the search begins and whose scale it takes.
+    """
 
     robust: str = "none"
     noise_model: str = "none"
     noise_nt: float | None = None
     start: Parameters | None = None
+    near: Fit | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

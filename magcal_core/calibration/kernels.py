@@ -26,6 +26,8 @@ LOSSES: Final[dict[str, int]] = {"none": 0, "huber": 1, "soft_l1": 2, "cauchy": 
 TUNING: Final[tuple[float, ...]] = (1.0, 1.345, 1.345, 2.3849, 4.6851)
 """Residual, in robust standard deviations, at which each loss bends: 95 % efficiency on Gaussian noise."""
 
+_LEAST_SLOPE: Final = 1.0 / 64.0
+"""Share of psi / r that Newton's matrix keeps where psi' is less: it stays positive."""
 _CHUNK: Final = 256
 _FAST: Final = {"reassoc", "contract", "nsz"}
 
@@ -48,15 +50,38 @@ def loss_of(loss: int, s2: float) -> tuple[float, float]:  # pragma: no cover - 
     return rho, weight
 
 
+@njit(cache=True, nogil=True, inline="always")
+def slope_of(loss: int, s2: float) -> float:  # pragma: no cover - compiled
+    """Return psi'(s), psi = rho'/2, of the residual whose square in units of the bend is ``s2``."""
+    slope = 1.0
+    if loss == 1:
+        slope = 1.0 if s2 <= 1.0 else 0.0
+    elif loss == 2:
+        slope = (1.0 + s2) ** -1.5
+    elif loss == 3:
+        slope = (1.0 - s2) / (1.0 + s2) ** 2
+    elif loss == 4:
+        slope = 0.0 if s2 >= 1.0 else (1.0 - s2) * (1.0 - 5.0 * s2)
+    return slope
+
+
 @njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _weigh(r: Floats, weight: Floats, loss: int, bend: float, root: Floats) -> float:  # pragma: no cover - compiled
-    """Return the cost of the residuals ``r`` and leave the root of each one's whole weight in ``root``."""
+def _weigh(  # noqa: PLR0912, PLR0917
+    r: Floats, weight: Floats, loss: int, bend: float, is_newton: bool, root: Floats, last: Floats
+) -> float:  # pragma: no cover - compiled
+    """Return the cost of the residuals ``r``; leave what multiplies each row in ``root``, and its residual in ``last``.
+
+    The product of both is the weighted residual; the square of ``root`` is the whole weight, or with ``is_newton`` the
+    weight by psi'.
+    """
     cost = 0.0
     if loss == 0:
         for i in range(r.size):
             cost += weight[i] * r[i] * r[i]
         for i in range(r.size):
             root[i] = math.sqrt(weight[i])
+        for i in range(r.size):
+            last[i] = root[i] * r[i]
         return cost
     inverse = 1.0 / bend
     if loss == 2:
@@ -65,14 +90,24 @@ def _weigh(r: Floats, weight: Floats, loss: int, bend: float, root: Floats) -> f
             root[i] = math.sqrt(1.0 + s * s)
         for i in range(r.size):
             cost += weight[i] * 2.0 * (root[i] - 1.0)
+        if is_newton:
+            for i in range(r.size):
+                last[i] = r[i] * math.sqrt(weight[i] * root[i])
+            for i in range(r.size):
+                root[i] = math.sqrt(weight[i] / (root[i] * root[i] * root[i]))
+            return cost * bend * bend
         for i in range(r.size):
             root[i] = math.sqrt(weight[i] / root[i])
+        for i in range(r.size):
+            last[i] = root[i] * r[i]
         return cost * bend * bend
     for i in range(r.size):
         s = r[i] * inverse
         rho, w = loss_of(loss, s * s)
         cost += weight[i] * rho
-        root[i] = math.sqrt(w * weight[i])
+        steep = max(slope_of(loss, s * s), _LEAST_SLOPE * w) if is_newton else w
+        root[i] = math.sqrt(steep * weight[i])
+        last[i] = r[i] * w * math.sqrt(weight[i] / steep) if steep > 0.0 else 0.0
     return cost * bend * bend
 
 
@@ -145,14 +180,16 @@ def accumulate(  # noqa: PLR0912, PLR0915, PLR0917 - one straight derivation
     loss: int,
     bend: float,
     sigma: float,
+    is_newton: bool,
     normal: Floats,
     gradient: Floats,
 ) -> float:  # pragma: no cover - compiled
     """Return the cost at ``theta`` and leave J^T W J in ``normal`` and J^T W r in ``gradient``.
 
     ``bend`` is the residual, nT, at which ``loss`` bends; ``sigma`` the noise of a component, nT, negative for the
-    plain residual |x| - B. Chunks without any weight are passed over. Each loop writes one array: those are the loops
-    that become vector instructions.
+    plain residual |x| - B. With ``is_newton`` the matrix alone is weighed by psi' in place of psi / r, at least
+    `_LEAST_SLOPE` of that: the second derivative of the cost but for the curvature of the residuals. Chunks without any
+    weight are passed over. Each loop writes one array: those are the loops that become vector instructions.
     """
     n, k, m_rates = h.shape[0], z.shape[1], rate.shape[1]
     p = 9 + 3 * k + m_rates
@@ -209,7 +246,7 @@ def accumulate(  # noqa: PLR0912, PLR0915, PLR0917 - one straight derivation
         inverse[:] = 1.0
         if sigma >= 0.0:
             _geometric(theta, sigma, length, r[:count], u, extra, inverse)
-        cost += _weigh(r[:count], weights, loss, bend, root)
+        cost += _weigh(r[:count], weights, loss, bend, is_newton, root, last)
         for axis in range(3):
             along = u[axis]
             for i in range(count):
@@ -244,8 +281,6 @@ def accumulate(  # noqa: PLR0912, PLR0915, PLR0917 - one straight derivation
             row, column = rows[9 + 3 * k + m], rate[start : start + count, m]
             for i in range(count):
                 row[i] = root[i] * column[i] * inverse[i]
-        for i in range(count):
-            last[i] = root[i] * r[i]
         add_products(rows, count, total)
     for c in range(p):
         for d in range(c, p):
@@ -274,7 +309,8 @@ def accumulate_blocks(  # noqa: PLR0917
     for k in range(starts.size):
         i = starts[k]
         j = starts[k + 1] if k + 1 < starts.size else h.shape[0]
-        accumulate(h[i:j], b[i:j], weight[i:j], z[i:j], rate[i:j], theta, loss, bend, sigma, normals[k], gradients[k])
+        hs, bs, ws, zs, rates = h[i:j], b[i:j], weight[i:j], z[i:j], rate[i:j]
+        accumulate(hs, bs, ws, zs, rates, theta, loss, bend, sigma, False, normals[k], gradients[k])
 
 
 @njit(cache=True, nogil=True)
@@ -313,13 +349,4 @@ def loss_terms(scaled: Floats, loss: int, weight: Floats, slope: Floats) -> None
     for i in range(scaled.shape[0]):
         s2 = scaled[i] * scaled[i]
         weight[i] = loss_of(loss, s2)[1]
-        if loss == 1:
-            slope[i] = 1.0 if s2 <= 1.0 else 0.0
-        elif loss == 2:
-            slope[i] = (1.0 + s2) ** -1.5
-        elif loss == 3:
-            slope[i] = (1.0 - s2) / (1.0 + s2) ** 2
-        elif loss == 4:
-            slope[i] = 0.0 if s2 >= 1.0 else (1.0 - s2) * (1.0 - 5.0 * s2)
-        else:
-            slope[i] = 1.0
+        slope[i] = slope_of(loss, s2)

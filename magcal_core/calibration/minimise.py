@@ -15,7 +15,9 @@ Floats = NDArray[np.float64]
 
 MAX_EVALUATIONS: Final = 200
 STEP: Final = 1e-9
-"""Stop when a step moves the residual vector by less than this share of its length: 1e-9 sqrt(n) standard errors."""
+"""Stop when the next step moves the residual vector by less than this share of it: 1e-9 sqrt(n) standard errors."""
+LEAST_SHRINKING: Final = 1e-3
+"""Share of a step that the next one is taken for at least, however fast the search converges."""
 ROUNDING: Final = 1e-13
 _SINGULAR: Final = 1e-14
 """Square of the smallest pivot of the scaled normal matrix that is told from rounding."""
@@ -47,12 +49,14 @@ def minimise(evaluate: Evaluate, theta: Floats, floor: float, limit: int = MAX_E
     normal, gradient = np.empty((p, p)), np.empty(p)
     trial_normal, trial_gradient = np.empty((p, p)), np.empty(p)
     cost = evaluate(theta, normal, gradient)
-    evaluations, damping, is_converged = 1, 0.0, False
+    evaluations, damping, before, is_converged = 1, 0.0, 0.0, False
     while evaluations < limit and np.isfinite(cost):
         step = np.empty(p)
         is_regular = damped_step(normal, gradient, damping, step)
         moved = float(np.sqrt(abs(step @ normal @ step))) if is_regular else np.inf
-        if is_regular and damping == 0.0 and moved <= STEP * np.sqrt(cost) + ROUNDING * floor:
+        # The step after this one is shorter by what this one is shorter than the one before.
+        shrinks = 1.0 if before == 0.0 else min(1.0, max(moved / before, LEAST_SHRINKING))
+        if is_regular and damping == 0.0 and moved * shrinks <= STEP * np.sqrt(cost) + ROUNDING * floor:
             theta, is_converged = theta + step, True
             break
         if is_regular:
@@ -64,6 +68,7 @@ def minimise(evaluate: Evaluate, theta: Floats, floor: float, limit: int = MAX_E
                 theta, cost = trial, trial_cost
                 normal, trial_normal = trial_normal, normal
                 gradient, trial_gradient = trial_gradient, gradient
+                before = moved if damping == 0.0 else 0.0
                 damping = damping / 10 if damping > 1e-6 else 0.0
                 continue
             if moved <= 1e-7 * np.sqrt(cost):

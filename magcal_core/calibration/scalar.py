@@ -93,6 +93,12 @@ class _Task:
         o = self.observations
         return descend(o.h_nt, o.b_nt, o.weights, self.z.columns, o.rate_nt_s, theta, loss, bend, sigma, self.floor)
 
+    def approach(self, theta: Floats, loss: int, bend: float, sigma: float) -> Minimum:
+        """Return where two reweighted steps lead: they cannot overshoot, as Newton's do far from the minimum."""
+        o = self.observations
+        arrays = (o.h_nt, o.b_nt, o.weights, self.z.columns, o.rate_nt_s)
+        return descend(*arrays, theta, loss, bend, sigma, self.floor, is_newton=False, limit=3)
+
     def residuals(self, theta: Floats, sigma: float = _PLAIN) -> Floats:
         o = self.observations
         out = np.empty(len(o))
@@ -132,10 +138,12 @@ class ScalarFit:
         """
         require_samples(observations)
         task = _Task.of(observations)
+        if settings.near is not None:
+            return _assemble(self.name, task, _on_all(task, _beside(task, settings.near), settings))
         few = task.thinned()
         plain = _plain(few, settings)
         require_observable(few.observations, plain.minimum.theta, plain.minimum.normal)
-        solution = _refined(few, plain, settings)
+        solution = _refined(few, plain, settings, _STILL if few is task else _STILL_ON_ALL)
         if few is not task:
             solution = _on_all(task, solution, settings)
         return _assemble(self.name, task, solution)
@@ -237,47 +245,69 @@ def _right_handed(task: _Task, minimum: Minimum) -> Minimum:
     )
 
 
-def _refined(task: _Task, plain: _Solution, settings: FitSettings) -> _Solution:
-    """Return the minimum under the robust loss and the noise model that ``settings`` ask for."""
+def _refined(task: _Task, plain: _Solution, settings: FitSettings, still: float) -> _Solution:
+    """Return the minimum under the robust loss and the noise model asked for, with its scale known to ``still``."""
     is_white, is_robust = settings.noise_model == "white", settings.robust != "none"
     solution = plain
     if is_robust:
         # The convex loss first: from there the redescending ones cannot fall into a neighbour's minimum.
-        for name in dict.fromkeys(("soft_l1", settings.robust)):
-            solution = _iterated(task, replace(solution, loss=LOSSES[name]), is_white, settings.noise_nt)
+        solution = _approached(task, replace(plain, loss=LOSSES["soft_l1"]), settings, is_white)
+        if settings.robust != "soft_l1":
+            solution = _iterated(task, solution, is_white, settings.noise_nt, _STILL_ON_ALL)
+            solution = replace(solution, loss=LOSSES[settings.robust])
+        solution = _iterated(task, solution, is_white, settings.noise_nt, still)
     elif is_white:
-        solution = _iterated(task, solution, True, settings.noise_nt)
+        solution = _iterated(task, solution, True, settings.noise_nt, still)
     return replace(solution, minimum=_right_handed(task, solution.minimum))
 
 
+def _beside(task: _Task, near: Fit) -> _Solution:
+    """Return the solution that ``near`` is, as a start for nearly the same data; clocks begin where the data are."""
+    loss, theta = LOSSES[near.robust], theta_of_parameters(near.parameters, task.z)
+    theta, none = np.concatenate([theta, np.zeros(task.size - theta.size)]), np.zeros((0, 0))
+    minimum = Minimum(theta, near.cost, none, none, 0, False)
+    return _Solution(minimum, 0, loss, TUNING[loss] * near.robust_scale_nt, near.noise_nt)
+
+
 def _on_all(task: _Task, near: _Solution, settings: FitSettings) -> _Solution:
-    """Return the minimum over all samples, next to that over some of them."""
-    is_white = settings.noise_model == "white"
+    """Return the minimum over all samples, next to that over some of them or over nearly the same ones."""
+    is_white, is_large = settings.noise_model == "white", len(task.observations) >= 2 * ENOUGH
     if near.loss or is_white:
-        solution = _iterated(task, near, is_white, settings.noise_nt, _STILL_ON_ALL)
+        solution = _iterated(task, near, is_white, settings.noise_nt, _STILL_ON_ALL if is_large else _STILL)
     else:
         solution = near.after(task.minimise(near.minimum.theta), near.bend, near.sigma)
     return replace(solution, minimum=_right_handed(task, solution.minimum))
 
 
-def _iterated(
-    task: _Task, solution: _Solution, is_white: bool, noise_nt: float | None, still: float = _STILL
-) -> _Solution:
-    """Return the minimum under the solution's loss, with scale and noise estimated anew until they stand still."""
+def _approached(task: _Task, solution: _Solution, settings: FitSettings, is_white: bool) -> _Solution:
+    """Return the solution some steps nearer to the minimum under its loss, from where Newton's steps lead on."""
+    scale, sigma = _scale(task, solution, is_white, settings.noise_nt)
+    bend = TUNING[solution.loss] * scale
+    return solution.after(task.approach(solution.minimum.theta, solution.loss, bend, sigma), bend, sigma)
+
+
+def _scale(task: _Task, solution: _Solution, is_white: bool, noise_nt: float | None) -> tuple[float, float]:
+    """Return the robust scale of the residuals and the noise of a component, nT, that they show."""
     floor = 1e-9 * task.floor / np.sqrt(len(task.observations))
+    theta, sigma = solution.minimum.theta, _PLAIN
+    if is_white:
+        sigma = noise_nt if noise_nt is not None else _noise(task, theta, solution, floor)
+    if not solution.loss:
+        return max(sigma, floor), sigma
     used = task.observations.weights > 0
+    return robust_sigma(task.residuals(theta, sigma)[used], floor), sigma
+
+
+def _iterated(task: _Task, solution: _Solution, is_white: bool, noise_nt: float | None, still: float) -> _Solution:
+    """Return the minimum under the solution's loss, with scale and noise estimated anew until they stand still."""
     previous = np.inf
     for _ in range(_ROUNDS):
-        theta = solution.minimum.theta
-        sigma = _PLAIN
-        if is_white:
-            sigma = noise_nt if noise_nt is not None else _noise(task, theta, solution, floor)
-        scale = robust_sigma(task.residuals(theta, sigma)[used], floor) if solution.loss else max(sigma, floor)
+        scale, sigma = _scale(task, solution, is_white, noise_nt)
         if abs(scale - previous) <= still * scale:
             break
         previous = scale
         bend = TUNING[solution.loss] * scale
-        solution = solution.after(task.minimise(theta, solution.loss, bend, sigma), bend, sigma)
+        solution = solution.after(task.minimise(solution.minimum.theta, solution.loss, bend, sigma), bend, sigma)
         if not is_white and not solution.loss:
             break
     return solution
@@ -301,7 +331,7 @@ def fit_at(name: str, observations: Observations, theta: Floats, guide: Fit) -> 
     o, p = observations, theta.size
     normal, gradient = np.empty((p, p)), np.empty(p)
     cost = accumulate(
-        o.h_nt, o.b_nt, o.weights, task.z.columns, o.rate_nt_s, theta, loss, bend, sigma, normal, gradient
+        o.h_nt, o.b_nt, o.weights, task.z.columns, o.rate_nt_s, theta, loss, bend, sigma, False, normal, gradient
     )
     minimum = Minimum(theta, float(cost), normal, gradient, 1, True)
     return _assemble(name, task, _Solution(minimum, 1, loss, bend, sigma))
@@ -318,7 +348,8 @@ def _assemble(name: str, task: _Task, solution: _Solution) -> Fit:
     softening = float(np.sum(prior * weight) / max(np.sum(prior * slope), 0.05 * np.sum(prior)))
     sigma = float(np.sqrt(np.sum(prior * (weight * r) ** 2) / dof))
     own = _own_jacobian(task, minimum.theta)
-    inverse = scaled_inverse(minimum.normal) * softening
+    starts, scores, normals = _block_sums(task, solution)
+    inverse = scaled_inverse(normals.sum(axis=0)) * softening
     covariance = own @ inverse @ own.T * sigma**2 * softening / (np.sum(prior * weight) / np.sum(prior))
     matrix, bias_nt, slopes_nt = rows_from_theta(minimum.theta, k)
     parameters = parameters_from_rows(matrix, bias_nt, slopes_nt, task.z)
@@ -339,7 +370,7 @@ def _assemble(name: str, task: _Task, solution: _Solution) -> Fit:
         status=FitStatus.CONVERGED if minimum.is_converged else FitStatus.MAX_EVALUATIONS,
         evaluations=solution.evaluations,
         clock=clock,
-        blocks=_blocks(task, solution, own, softening),
+        blocks=BlockScores(scores, normals / softening, starts, own),
     )
 
 
@@ -354,10 +385,11 @@ def _own_jacobian(task: _Task, theta: Floats) -> Floats:
     return jacobian
 
 
-def _blocks(task: _Task, solution: _Solution, own: Floats, softening: float) -> BlockScores:
+def _block_sums(task: _Task, solution: _Solution) -> tuple[NDArray[np.intp], Floats, Floats]:
+    """Return the first samples of blocks, and the sums of J^T W r and of J^T W J over each."""
     o, p = task.observations, task.size
     starts = block_starts(len(o))
     scores, normals = np.empty((len(starts), p)), np.empty((len(starts), p, p))
     arrays = (o.h_nt, o.b_nt, o.weights, task.z.columns, o.rate_nt_s, solution.minimum.theta)
     accumulate_blocks(*arrays, solution.loss, solution.bend, solution.sigma, starts, normals, scores)
-    return BlockScores(scores, normals / softening, starts, own)
+    return starts, scores, normals

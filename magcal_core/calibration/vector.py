@@ -52,7 +52,7 @@ class VectorFit:
         require_excitation(b_nt, observations.weights)
         names = tuple(observations.regressors)
         z = Standardised.of(names, [observations.regressors[name] for name in names], len(observations))
-        rows, clock = _with_clock(observations, z, settings.robust)
+        rows, clock = _with_clock(observations, z, settings)
         full = full_rows(rows, observations, z)
         for axis in range(3):
             require_response(axis, rows.matrix[axis], rows.significance(axis), rows.own_significance(axis), full)
@@ -96,14 +96,15 @@ class VectorFit:
         return parameters_from_rows(rows.matrix, rows.bias_nt, rows.slopes_nt, z)
 
 
-def _with_clock(observations: Observations, z: Standardised, robust: str) -> tuple[Rows, Floats]:
+def _with_clock(observations: Observations, z: Standardised, settings: FitSettings) -> tuple[Rows, Floats]:
     """Return the rows, and the clock's unknowns that make them fit best (none where no rates are given)."""
     b_nt, rates = observations.require_vector(), observations.rate_base_nt_s
-    weights = observations.weights
+    weights, robust, near = observations.weights, settings.robust, settings.near
+    first = near.weights if near is not None and len(near.weights) == len(weights) else None
     if rates is None or rates.shape[1] == 0:
-        return reweighted(observations.h_nt, b_nt, z.columns, weights, robust), np.zeros(0)
+        return reweighted(observations.h_nt, b_nt, z.columns, weights, robust, near=first), np.zeros(0)
     clock = np.zeros(rates.shape[1])
-    rows = reweighted(observations.h_nt, b_nt, z.columns, weights, robust)
+    rows = reweighted(observations.h_nt, b_nt, z.columns, weights, robust, near=first)
     for _ in range(_CLOCK_ROUNDS):
         step = np.linalg.solve(*_clock_equations(rows, rates))
         clock = clock + step

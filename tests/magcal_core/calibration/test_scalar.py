@@ -125,7 +125,8 @@ def test_six_faces_name_the_angles(mission):
 
 @pytest.mark.parametrize("loss", range(5))
 @pytest.mark.parametrize("sigma", [-1.0, 120.0])
-def test_kernel_gradient_matches_finite_differences(mission, loss, sigma):
+@pytest.mark.parametrize("is_newton", [False, True])
+def test_kernel_gradient_matches_finite_differences(mission, loss, sigma, is_newton):
     """Central differences of the cost, step 1e-6: good to about 1e-7 relative."""
     o = Observations.of(mission(n=200).samples)
     rng = np.random.default_rng(3)
@@ -134,10 +135,11 @@ def test_kernel_gradient_matches_finite_differences(mission, loss, sigma):
     size = np.concatenate([np.full(6, 1e-6), np.full(9, 1e-2), [1e-4]])
 
     def cost(at):
-        return accumulate(o.h_nt, o.b_nt, o.weights, z, rate, at, loss, 300.0, sigma, np.empty((16, 16)), np.empty(16))
+        arrays = (o.h_nt, o.b_nt, o.weights, z, rate)
+        return accumulate(*arrays, at, loss, 300.0, sigma, is_newton, np.empty((16, 16)), np.empty(16))
 
     gradient = np.empty(16)
-    accumulate(o.h_nt, o.b_nt, o.weights, z, rate, theta, loss, 300.0, sigma, np.empty((16, 16)), gradient)
+    accumulate(o.h_nt, o.b_nt, o.weights, z, rate, theta, loss, 300.0, sigma, is_newton, np.empty((16, 16)), gradient)
     numeric = np.array(
         [(cost(theta + d) - cost(theta - d)) / (4 * s) for d, s in zip(np.diag(size), size, strict=True)]
     )
