@@ -90,7 +90,9 @@ def calibrate(
         tuple(f"{one.code}: {one.text}" for one in suspected),
         _reference_shifts(referenced, estimate),
     )
-    judgement = judgement_of(estimate.estimator, estimate.observations, estimate.fit, estimate.settings, circumstances)
+    known = None if estimate.clock is None else estimate.clock.honest
+    what = (estimate.estimator, estimate.observations, estimate.fit, estimate.settings)
+    judgement = judgement_of(*what, circumstances, known)
     tell(0.95)
     calibration = _assemble(referenced, estimate, judgement, left_out, suspected)
     tell(1.0)
@@ -182,8 +184,8 @@ def _clock(  # noqa: PLR0917
     guide = estimator if estimator.takes_regressors else ESTIMATORS["vector" if estimator.is_vector else "scalar"]
     names = tuple(observations.regressors)
 
-    def at(shift_s: Floats) -> Observations:
-        return referenced.shifted(usable, names, shift_s)
+    def at(shift_s: Floats, rows: slice) -> Observations:
+        return referenced.shifted(usable, names, shift_s, rows)
 
     return fit_with_clock(guide, at, observations, settings, has_drift=options.time_drift)
 

@@ -108,9 +108,15 @@ class Referenced:
         """Return the ``usable`` samples as an estimator sees them; without attitude where some of them have none."""
         return Observations.of(oriented(self.samples, usable), regressors, usable.astype(np.float64))
 
-    def shifted(self, usable: NDArray[np.bool_], regressors: Sequence[str], shift_s: Floats) -> Observations:
-        """Return the same with the reference at times that are ``shift_s``, shape (usable,), s, after the clock's."""
+    def shifted(
+        self, usable: NDArray[np.bool_], regressors: Sequence[str], shift_s: Floats, rows: slice = slice(None)
+    ) -> Observations:
+        """Return the same with the reference at times that are ``shift_s``, shape (usable,), s, after the clock's.
+
+        ``rows``: which of the usable samples; ``shift_s`` is theirs.
+        """
         bare = self.samples.take(usable)
+        bare = bare if rows == slice(None) else bare.take(rows)
         moved = replace(
             bare,
             t_utc=bare.t_utc + np.round(shift_s * 1e9).astype("timedelta64[ns]"),

@@ -61,12 +61,17 @@ class Judgement:
     motion: str
 
 
-def judgement_of(
-    estimator: Estimator, observations: Observations, fit: Fit, settings: FitSettings, circumstances: Circumstances
+def judgement_of(  # noqa: PLR0917
+    estimator: Estimator,
+    observations: Observations,
+    fit: Fit,
+    settings: FitSettings,
+    circumstances: Circumstances,
+    known: HonestCovariance | None = None,
 ) -> Judgement:
-    """Return what ``fit`` is worth."""
+    """Return what ``fit`` is worth; ``known``: its honest covariance, where that is known already."""
     duration_s = covered_s(observations.t_s)
-    seen = honest_covariance(fit.blocks, fit.covariance, len(observations), duration_s)
+    seen = honest_covariance(fit.blocks, fit.covariance, len(observations), duration_s) if known is None else known
     honest = replace(seen, covariance=_with_reference(seen.covariance, circumstances.reference))
     names = len(fit.parameters.names)
     errors = np.sqrt(np.diag(honest.covariance))

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations
-from magcal_core.calibration.uncertainty import covered_s, honest_covariance
+from magcal_core.calibration.observability import ENOUGH
+from magcal_core.calibration.uncertainty import HonestCovariance, covered_s, honest_covariance
 
 Floats = NDArray[np.float64]
 
@@ -26,27 +27,31 @@ AUTO_AGE_DAYS: Final = 3.0
 SIGNIFICANCE: Final = 0.04
 """Probability of a false offset that the test allows."""
 _ROUNDS: Final = 15
-_SMALL_S: Final = 1e-4
+_SMALL_S: Final = 5e-3
+"""Step that is the last: the next one would be some 0.1 us long."""
 _RATE_STEP_S: Final = 0.5
 BOUNDED_S: Final = 5.0
 """Standard error of the offset up to which twice as much is harmless: 10 s are 200 nT of |B|."""
 LARGEST_S: Final = 3600.0
 _NEAR_S: Final = 0.5
 """Step up to which the second-order expansion of the reference holds to 1e-5 nT of |B|."""
+_FAR_S: Final = 30.0
+"""Step up to which it holds to some nT, and parameters are those of nearly the same reference."""
 
-At = Callable[[Floats], Observations]
-"""Seconds to add to each sample's time, shape (n,) -> observations with the reference at those times."""
+At = Callable[[Floats, slice], Observations]
+"""Seconds to add to the time of each sample of a slice -> those samples with the reference at those times."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClockFit:
-    """A fit with its clock: offset and, where asked for, drift, each with its honest standard error.
+    """A fit with its clock: offset and, where asked for, drift, each with its standard error, of ``honest``.
 
     ``p_value``: probability of an offset so large where there is none.
     """
 
     fit: Fit
     observations: Observations
+    honest: HonestCovariance
     offset_s: float
     offset_error_s: float
     drift_s_per_day: float | None
@@ -91,36 +96,21 @@ def fit_with_clock(
 
     Notes
     -----
-    Gauss-Newton steps of the clock, each a fit. After a step within `_NEAR_S` the next one is taken on the expansion of
-    the reference about the last place; the fit that counts has the reference itself at its own place.
+    Gauss-Newton steps of the clock, each a fit that begins at the one before. Of very many samples some are searched
+    first: what is left of the way is then within the reach of one expansion of the reference.
     """
     from scipy.special import ndtr
 
-    t_s = unmoved.t_s
-    middle = 0.5 * float(t_s[0] + t_s[-1])
-    shapes = np.stack([np.ones_like(t_s), t_s - middle]) if has_drift else np.ones((1, len(t_s)))
-    clock = np.zeros(len(shapes))
-    is_converged, reach_s, here = False, np.ptp(t_s) / 2, unmoved
-    for _ in range(_ROUNDS):
-        expansion = _Expansion.about(at, clock @ shapes, here)
-        observations = expansion.moved(0.0, shapes)
-        fit = estimator.fit(observations, settings)
-        clock = clock + fit.clock
-        largest = float(np.abs(fit.clock[0]) + (np.abs(fit.clock[1]) * reach_s if has_drift else 0.0))
-        if abs(clock[0]) > LARGEST_S:
-            break
-        if largest < _SMALL_S:
-            is_converged = True
-            break
-        if largest <= _NEAR_S:
-            clock = clock + estimator.fit(expansion.moved(fit.clock @ shapes, shapes), settings).clock
-        here = at(clock @ shapes)
-    if is_converged:
-        observations, fit = _moved(observations, fit)
+    shapes = _shapes(unmoved.t_s, has_drift)
+    search = _Search(estimator, at, settings, shapes, slice(None))
+    some = slice(None, None, max(1, len(unmoved) // ENOUGH))
+    if len(unmoved) >= 2 * ENOUGH:
+        few = _Search(estimator, at, settings, np.ascontiguousarray(shapes[:, some]), some)
+        rough = few.run(unmoved.take(some), np.zeros(len(shapes)), None)
+        found = search.run(unmoved, rough.clock, rough.fit) if rough.is_converged else search.fixed(rough.clock)
     else:
-        observations = _Expansion.about(at, clock @ shapes, at(clock @ shapes)).moved(0.0, shapes)
-        fit = estimator.fit(observations, settings)
-        clock = clock + fit.clock
+        found = search.run(unmoved, np.zeros(len(shapes)), None)
+    observations, fit, clock = found.observations, found.fit, found.clock
     honest = honest_covariance(fit.blocks, fit.covariance, len(observations), covered_s(observations.t_s))
     errors = np.sqrt(np.diag(honest.covariance))[-len(clock) :]
     score = abs(clock[0]) / max(errors[0], 1e-300)
@@ -128,13 +118,88 @@ def fit_with_clock(
     return ClockFit(
         fit=fit,
         observations=observations,
+        honest=honest,
         offset_s=float(clock[0]),
         offset_error_s=float(errors[0]),
         drift_s_per_day=float(clock[1] * 86400.0) if has_drift else None,
         drift_error_s_per_day=float(errors[1] * 86400.0) if has_drift else None,
         p_value=float(2.0 * ndtr(-score)),
-        is_converged=is_converged,
+        is_converged=found.is_converged,
     )
+
+
+def _shapes(t_s: Floats, has_drift: bool) -> Floats:
+    """Return how each unknown of the clock moves each sample's time, shape (m, n): offset; drift about the middle."""
+    middle = 0.5 * float(t_s[0] + t_s[-1])
+    return np.stack([np.ones_like(t_s), t_s - middle]) if has_drift else np.ones((1, len(t_s)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """Where a search for the clock ended; the observations have the reference at ``clock``."""
+
+    clock: Floats
+    observations: Observations
+    fit: Fit
+    is_converged: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Search:
+    """The search for the clock over the samples ``rows``, whose times ``shapes``, shape (m, rows), move."""
+
+    estimator: Estimator
+    at: At
+    settings: FitSettings
+    shapes: Floats
+    rows: slice
+
+    def run(self, unmoved: Observations, clock: Floats, near: Fit | None) -> _Found:
+        """Return the fit whose clock stands still, from ``clock``; ``near``: a fit with nearly that clock, if any."""
+        is_near = self._largest(clock) <= _NEAR_S
+        place = np.zeros_like(clock) if is_near else clock
+        here, moved = unmoved if is_near else self._at(place), clock - place
+        for _ in range(_ROUNDS):
+            expansion = self._expanded(place, here)
+            observations, fit, moved = self._along(expansion, moved, near)
+            clock, away = place + moved, self._largest(moved)
+            if abs(clock[0]) > LARGEST_S:
+                break
+            if self._largest(fit.clock) < _SMALL_S and away <= _NEAR_S:
+                ended = expansion.moved(moved @ self.shapes, self.shapes)
+                return _Found(clock, ended, _with_reference_of(ended, observations, fit), True)
+            place, here, moved = clock, self._at(clock), np.zeros_like(clock)
+            near = fit if away <= _FAR_S else None
+        return self.fixed(clock)
+
+    def fixed(self, clock: Floats) -> _Found:
+        """Return the fit with the reference at ``clock``, which no search has brought to stand still."""
+        observations = self._expanded(clock, self._at(clock)).moved(0.0, self.shapes)
+        fit = self.estimator.fit(observations, self.settings)
+        return _Found(clock + fit.clock, observations, fit, False)
+
+    def _along(self, expansion: _Expansion, moved: Floats, near: Fit | None) -> tuple[Observations, Fit, Floats]:
+        """Return the last fit along an expansion, from ``moved`` on, with its observations and where it leads."""
+        for _ in range(_ROUNDS):
+            observations = expansion.moved(moved @ self.shapes, self.shapes)
+            fit = self.estimator.fit(observations, replace(self.settings, near=near))
+            near, moved = fit, moved + fit.clock
+            away = self._largest(moved)
+            if away > _FAR_S or self._largest(fit.clock) < (_SMALL_S if away <= _NEAR_S else _NEAR_S):
+                break
+        return observations, fit, moved
+
+    def _largest(self, clock: Floats) -> float:
+        """Return the most, s, by which ``clock`` moves a sample's time."""
+        return float(np.abs(clock) @ np.abs(self.shapes[:, [0, -1]]).max(axis=1))
+
+    def _at(self, clock: Floats) -> Observations:
+        return self.at(clock @ self.shapes, self.rows)
+
+    def _expanded(self, clock: Floats, here: Observations) -> _Expansion:
+        shift_s = clock @ self.shapes
+        later, sooner = (self.at(shift_s + step_s, self.rows) for step_s in (_RATE_STEP_S, -_RATE_STEP_S))
+        return _Expansion.about(here, later, sooner)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,9 +213,8 @@ class _Expansion:
     base_curve: Floats | None
 
     @classmethod
-    def about(cls, at: At, shift_s: Floats, here: Observations) -> _Expansion:
-        """Return the expansion about ``shift_s``, where the observations are ``here``."""
-        later, sooner = at(shift_s + _RATE_STEP_S), at(shift_s - _RATE_STEP_S)
+    def about(cls, here: Observations, later: Observations, sooner: Observations) -> _Expansion:
+        """Return the expansion about ``here``, from the observations `_RATE_STEP_S` later and sooner."""
         fall, curve = _differences(here.b_nt, later.b_nt, sooner.b_nt)
         base_fall = base_curve = None
         if here.b_base_nt is not None and sooner.b_base_nt is not None and later.b_base_nt is not None:
@@ -177,17 +241,10 @@ def _differences(here: Floats, later: Floats, sooner: Floats) -> tuple[Floats, F
     return (sooner - later) / (2 * _RATE_STEP_S), ((later - here) + (sooner - here)) / _RATE_STEP_S**2
 
 
-def _moved(observations: Observations, fit: Fit) -> tuple[Observations, Fit]:
-    """Return observations and residuals with the reference where the fit's own last step of the clock puts it.
-
-    Along its rates: what the curve of the field adds over a step of `_SMALL_S` is some 1e-9 nT.
-    """
-    along = observations.rate_nt_s @ fit.clock
-    base, residuals = observations.b_base_nt, fit.residuals_nt + (along if fit.residuals_nt.ndim == 1 else 0.0)
-    if base is not None and observations.rate_base_nt_s is not None:
-        along_base = np.einsum("nmi,m->ni", observations.rate_base_nt_s, fit.clock)
-        base = np.ascontiguousarray(base - along_base)
-        if fit.residuals_nt.ndim == 2:
-            residuals = fit.residuals_nt + along_base
-    moved = replace(observations, b_nt=observations.b_nt - along, b_base_nt=base)
-    return moved, replace(fit, residuals_nt=residuals)
+def _with_reference_of(ended: Observations, before: Observations, fit: Fit) -> Fit:
+    """Return ``fit`` to the observations ``before`` with the residuals it has beside the reference of ``ended``."""
+    if fit.residuals_nt.ndim == 2:
+        residuals_nt = fit.residuals_nt + (before.require_vector() - ended.require_vector())
+    else:
+        residuals_nt = fit.residuals_nt + (before.b_nt - ended.b_nt)
+    return replace(fit, residuals_nt=residuals_nt)

@@ -12,7 +12,7 @@ from magcal_core.calibration.time_offset import fit_with_clock
 @pytest.mark.parametrize("method", ["scalar", "vector"])
 @pytest.mark.parametrize("has_drift", [False, True])
 def test_the_last_step_moves_the_reference_as_an_evaluation_anew_would(mission, method, has_drift):
-    """Moved along its rates by less than 1e-4 s: 1e-9 nT of curvature, and rounding of 5e4 nT."""
+    """Moved along its expansion by less than 5e-3 s: 1e-12 nT of what is left out, and rounding of 5e4 nT."""
     samples = mission(n=900, noise_nt=40.0, seed=9).samples
     o = Observations.of(samples)
     size, turn = o.b_nt, o.require_vector() / o.b_nt[:, None]
@@ -25,8 +25,8 @@ def test_the_last_step_moves_the_reference_as_an_evaluation_anew_would(mission, 
     noise_nt = o.h_nt - o.require_vector()
     sent = replace(o, h_nt=np.ascontiguousarray(truth.require_vector() + noise_nt))
 
-    def sent_at(shift_s):
-        return replace(at(shift_s), h_nt=sent.h_nt)
+    def sent_at(shift_s, rows=slice(None)):
+        return replace(at(shift_s), h_nt=sent.h_nt).take(rows)
 
     found = fit_with_clock(ESTIMATORS[method], sent_at, sent_at(np.zeros(len(o))), FitSettings(), has_drift=has_drift)
     assert found.is_converged
