@@ -1,4 +1,4 @@
-"""Lines of equal field strength, which give a map of residuals its bearings where coastlines would say nothing."""
+"""Lines of equal field strength, by which a map of residuals shows whether they follow the field."""
 
 from __future__ import annotations
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from app.figures.coastlines import coastlines
 from app.figures.isolines import field_lines
 from app.figures.style import (
     LIGHT,
@@ -141,7 +142,7 @@ def residual_autocorrelation(table: ResidualTable, theme: Theme = LIGHT, max_lag
 
 
 def residual_map(t_utc: Times, r_itrf_km: Floats, residual_nt: Floats, theme: Theme = LIGHT) -> Figure:
-    """Return the residual, shape (n,), over geocentric latitude and longitude, with lines of the model's |B| in nT."""
+    """Return the residual, shape (n,), over geocentric latitude and longitude, with coastlines and lines of |B|."""
     index = np.flatnonzero(np.isfinite(residual_nt) & np.isfinite(r_itrf_km).all(axis=1))
     index = index[extreme_indices(residual_nt[index], MAX_POINTS)]
     latitude, longitude = latitude_longitude_deg(r_itrf_km[index])
@@ -156,7 +157,8 @@ def residual_map(t_utc: Times, r_itrf_km: Floats, residual_nt: Floats, theme: Th
         "xaxis": axis(theme, "longitude, deg east", range=[-180, 180], dtick=60),
         "yaxis": axis(theme, "latitude, deg north", range=[-90, 90], dtick=30),
     }
-    return make_figure([*field_lines(t_utc[index], r_itrf_km[index], theme), trace], theme, layout)
+    ground = [*field_lines(t_utc[index], r_itrf_km[index], theme), coastlines(theme)]
+    return make_figure([*ground, trace], theme, layout)
 
 
 def residual_sphere(b_body_nt: Floats, residual_nt: Floats, theme: Theme = LIGHT) -> Figure:

@@ -206,6 +206,25 @@ def test_the_lines_of_the_map_find_the_south_atlantic_anomaly() -> None:
     assert 15_000 < np.min(lines.z) < 23_000
 
 
+CAPES = {  # published positions, deg east and north, of points that no map of the world leaves out
+    "Cape Horn": (-67.3, -56.0),
+    "Cape Agulhas": (20.0, -34.8),
+    "Cabo da Roca": (-9.5, 38.8),
+    "Cape Comorin": (77.5, 8.1),
+    "North Cape": (25.8, 71.2),
+}
+
+
+@pytest.mark.parametrize("cape", CAPES.values(), ids=CAPES)
+def test_the_coastlines_pass_the_capes(cape: tuple[float, float]) -> None:
+    """Within a degree: at this scale an island or a bay of that size is no longer drawn."""
+    line = figures.residual_map(T_UTC, positions(), SCALAR_NT).data[1]
+    longitude, latitude = (np.array(axis, dtype=float) for axis in (line.x, line.y))
+    share = np.linspace(0.0, 1.0, 50)
+    x, y = (np.outer(axis[:-1], 1 - share) + np.outer(axis[1:], share) for axis in (longitude, latitude))
+    assert np.nanmin(np.hypot(x - cape[0], y - cape[1])) < 1.0
+
+
 def test_correlations_come_from_the_covariance() -> None:
     """Planted: neighbours correlate with 0.5 whatever their units."""
     z = np.asarray(figures.correlation_matrix(parameter_set(0)).data[0].z)
