@@ -69,20 +69,20 @@ class Seen:
 def figures() -> Iterator[Figure]:
     """Yield the figures of this room."""
     with scratch() as folder, service(folder, "--workers", "0", **LIMITS) as running:
-        _prepare(running)
+        prepare_load(running)
         yield from _sizes(running, folder)
         yield from _crowds(running, folder)
         yield from _polling(running, folder)
         yield from _soak(running, folder)
     with scratch() as folder, service(folder, "--workers", "1", **LIMITS) as running:
-        _prepare(running)
+        prepare_load(running)
         yield from _long_session(running)
     with scratch() as folder, service(folder, "--workers", "0", UPLOAD_STALL_S="3", **LIMITS) as running:
-        _prepare(running)
+        prepare_load(running)
         yield from asyncio.run(_slow(running))
 
 
-def _prepare(running: Service) -> None:
+def prepare_load(running: Service) -> None:
     with running.client() as api:
         api.post("/satellites", json={"id": "load"}).raise_for_status()
         api.post("/satellites/load/magnetometers", json={"id": "mgm", "unit": "nT"}).raise_for_status()
@@ -144,7 +144,7 @@ async def _uploading(running: Service, bodies: Bodies, seen: Seen, until: float,
         connection[1].close()
 
 
-async def _together(running: Service, clients: int, bodies: Bodies, duration_s: float, pause_s: float = 0.0) -> Seen:
+async def together(running: Service, clients: int, bodies: Bodies, duration_s: float, pause_s: float = 0.0) -> Seen:
     seen, until = Seen(), time.monotonic() + duration_s
     await asyncio.gather(*(_uploading(running, bodies, seen, until, pause_s) for _ in range(clients)))
     return seen
@@ -163,7 +163,7 @@ def _lost(folder: Path, sha256: Sequence[str]) -> int:
     return lost
 
 
-def _p99(durations_s: Sequence[float]) -> float:
+def p99_of(durations_s: Sequence[float]) -> float:
     return float(np.quantile(durations_s, 0.99)) if durations_s else float("nan")
 
 
@@ -172,17 +172,17 @@ def _sizes(running: Service, folder: Path) -> Iterator[Figure]:
     cases = (("L1", 32, 10_000, 200.0, 0.75), ("L2", 32, 1_000_000, 120.0, 1.0), ("L3", 16, 10_000_000, 8.5, None))
     for name, clients, size, rate_aim, p99_aim in cases:
         bodies = Bodies(size)
-        asyncio.run(_together(running, clients, bodies, 1.0))
+        asyncio.run(together(running, clients, bodies, 1.0))
         rss = running.process.rss_mib()
         begun, cpu_s = time.perf_counter(), running.process.cpu_s()
-        seen = asyncio.run(_together(running, clients, bodies, CASE_S))
+        seen = asyncio.run(together(running, clients, bodies, CASE_S))
         elapsed_s, cpu_s = time.perf_counter() - begun, running.process.cpu_s() - cpu_s
         count = max(1, len(seen.accepted_s))
         rate, what = len(seen.accepted_s) / elapsed_s, f"{name} {clients} clients, {size / 1e3:.0f} kB"
         note = f"{1e3 * cpu_s / count:.1f} ms of the server's processor each; {dict(seen.statuses)}"
         yield Figure(ROOM, what, rate, "1/s", f">= {rate_aim:g}", rate >= rate_aim, note)
         if p99_aim is not None:
-            p99 = _p99(seen.accepted_s)
+            p99 = p99_of(seen.accepted_s)
             yield Figure(ROOM, f"{what}, p99", p99, "s", f"<= {p99_aim:g}", p99 <= p99_aim)
         else:
             growth = running.process.rss_mib() - rss
@@ -198,14 +198,14 @@ def _kept(what: str, folder: Path, seen: Seen) -> Figure:
 def _crowds(running: Service, folder: Path) -> Iterator[Figure]:
     """Yield L4: 200, then 1000 clients at once."""
     for clients in (200, 1000):
-        seen = asyncio.run(_together(running, clients, Bodies(10_000), CASE_S))
+        seen = asyncio.run(together(running, clients, Bodies(10_000), CASE_S))
         what, odd = f"L4 {clients} clients at once", seen.resets + seen.unexplained
         note = f"{dict(seen.statuses)}, {seen.resets} resets"
         yield Figure(ROOM, f"{what}: resets, and refusals without Retry-After", odd, "", "0", odd == 0, note)
-        accepted = _p99(seen.accepted_s)
+        accepted = p99_of(seen.accepted_s)
         yield Figure(ROOM, f"{what}: accepted, p99", accepted, "s", "<= 5", accepted <= 5)
         refused = statistics.median(seen.refused_s) if seen.refused_s else 0.0
-        note = f"p99 {_p99(seen.refused_s):.2f} s, of {len(seen.refused_s)}"
+        note = f"p99 {p99_of(seen.refused_s):.2f} s, of {len(seen.refused_s)}"
         yield Figure(ROOM, f"{what}: refused, median", refused, "s", "<= 0.1", refused <= 0.1, note)
         yield _kept(what, folder, seen)
 
@@ -250,7 +250,7 @@ def _polling(running: Service, folder: Path) -> Iterator[Figure]:
     poll = request_of("GET", f"/sessions/{session}", running.key)
     durations, head, took_s = asyncio.run(_polled(running.port, poll, upload))
     seen.note(int(head[9:12]), head, body, took_s)
-    p99, what = _p99(durations), "L5 status while 100 MiB arrive"
+    p99, what = p99_of(durations), "L5 status while 100 MiB arrive"
     note = f"{len(durations)} polls; the upload took {sum(seen.accepted_s):.1f} s: {dict(seen.statuses)}"
     yield Figure(ROOM, f"{what}, p99", 1e3 * p99, "ms", "<= 100", p99 <= 0.1, note)
     yield _kept(what, folder, seen)
@@ -275,9 +275,9 @@ def _long_session(running: Service) -> Iterator[Figure]:
 def _soak(running: Service, folder: Path) -> Iterator[Figure]:
     """Yield L9: a third of L1's rate for a while; memory, descriptors and the write-ahead log stay flat."""
     bodies, clients = Bodies(10_000), 8
-    asyncio.run(_together(running, clients, bodies, SOAK_S / 4, clients / 67))
+    asyncio.run(together(running, clients, bodies, SOAK_S / 4, clients / 67))
     rss, files = running.process.rss_mib(), running.process.descriptors()
-    seen = asyncio.run(_together(running, clients, bodies, SOAK_S * 3 / 4, clients / 67))
+    seen = asyncio.run(together(running, clients, bodies, SOAK_S * 3 / 4, clients / 67))
     what, drift = f"L9 soak of {SOAK_S:g} s", 100 * (running.process.rss_mib() / rss - 1)
     note = f"{len(seen.accepted_s)} uploads, {dict(seen.statuses)}, {seen.resets} resets"
     yield Figure(ROOM, f"{what}: drift of memory", drift, "%", "<= 2", drift <= 2, note)
