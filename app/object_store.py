@@ -9,7 +9,7 @@ from __future__ import annotations
 import errno
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 from urllib.parse import unquote, urlsplit
@@ -67,6 +67,11 @@ class FileStore:
             log.exception("store_failed", key=key)
             raise UnavailableError("the store could not keep the object") from error
         return packed.sha256
+
+    def put_all(self, session: Session, objects: Sequence[tuple[str, Packed]]) -> None:
+        """Keep each of ``objects`` under its key."""
+        for key, one in objects:
+            self.put(session, key, one)
 
     def _sync_folders(self, folder: Path) -> None:
         """Make the names of a new file and of new folders above it durable."""
@@ -126,6 +131,11 @@ class BucketStore:
         except FAILED as error:
             raise UnavailableError("the store could not keep the object") from error
         return packed.sha256
+
+    def put_all(self, session: Session, objects: Sequence[tuple[str, Packed]]) -> None:
+        """Keep each of ``objects`` under its key."""
+        for key, one in objects:
+            self.put(session, key, one)
 
     def get(self, _session: Session, key: str, sha256: str) -> bytes:
         """Return the bytes under ``key``, verified."""

@@ -6,7 +6,7 @@ An object is named by its key and known by the SHA-256 of its bytes, which every
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol
 
@@ -50,11 +50,10 @@ class BlobPart(Base):
 BLOBS: Final = Blob.metadata.tables["blob"]
 BLOB_PARTS: Final = Blob.metadata.tables["blob_part"]
 """Without the mapper, which doubles the time that an upload holds the writer's turn."""
-NEW_BLOB: Final = {
-    name: insert(BLOBS).on_conflict_do_nothing().returning(BLOBS.c.key)
-    for name, insert in (("sqlite", sqlite.insert), ("postgresql", postgresql.insert))
-}
-NEW_PART: Final = BLOB_PARTS.insert()
+INSERTS: Final = (("sqlite", sqlite.insert), ("postgresql", postgresql.insert))
+NEW_BLOB: Final = {name: insert(BLOBS).on_conflict_do_nothing() for name, insert in INSERTS}
+NEW_PART: Final = {name: insert(BLOB_PARTS).on_conflict_do_nothing() for name, insert in INSERTS}
+"""Equal bytes have equal parts: what is there already stays as it is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +79,10 @@ class Store(Protocol):
 
     def put(self, session: Session, key: str, content: bytes | Packed) -> str:
         """Keep ``content`` under ``key`` and return its SHA-256, hexadecimal."""
+        ...
+
+    def put_all(self, session: Session, objects: Sequence[tuple[str, Packed]]) -> None:
+        """Keep each of ``objects`` under its key."""
         ...
 
     def get(self, session: Session, key: str, sha256: str) -> bytes:
@@ -123,12 +126,21 @@ class DatabaseStore:
     def put(self, session: Session, key: str, content: bytes | Packed) -> str:
         """Keep ``content`` under ``key`` and return its SHA-256, hexadecimal."""
         packed = content if isinstance(content, Packed) else self.pack(content, digest(content))
-        connection = session.connection()
-        row = {"key": key, "sha256": packed.sha256, "size_bytes": len(packed.content)}
-        if connection.execute(NEW_BLOB[connection.dialect.name], row).first() is not None:
-            for number, part in enumerate(packed.parts):
-                connection.execute(NEW_PART, {"key": key, "number": number, "content": part})
+        self.put_all(session, [(key, packed)])
         return packed.sha256
+
+    def put_all(self, session: Session, objects: Sequence[tuple[str, Packed]]) -> None:
+        """Keep each of ``objects`` under its key, by one statement for all."""
+        connection = session.connection()
+        rows = [{"key": key, "sha256": one.sha256, "size_bytes": len(one.content)} for key, one in objects]
+        parts = [
+            {"key": key, "number": number, "content": part}
+            for key, one in objects
+            for number, part in enumerate(one.parts)
+        ]
+        for statements, values in ((NEW_BLOB, rows), (NEW_PART, parts)):
+            if values:
+                connection.execute(statements[connection.dialect.name], values)
 
     def get(self, session: Session, key: str, sha256: str) -> bytes:
         """Return the bytes under ``key``, verified."""

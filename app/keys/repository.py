@@ -150,7 +150,12 @@ class KeyRepository:
 
 def record_event(session: Session, caller: Caller, action: str, subject: str, satellite_id: str | None = None) -> None:
     """Add one line to the audit trail, in the transaction of what it tells of."""
-    event = {
+    session.connection().execute(NEW_EVENT, event_of(caller, action, subject, satellite_id))
+
+
+def event_of(caller: Caller, action: str, subject: str, satellite_id: str | None = None) -> dict[str, object]:
+    """Return one line of the audit trail, for `NEW_EVENT`."""
+    return {
         "id": new_id(),
         "at": utc_now(),
         "key_id": caller.key_id,
@@ -160,4 +165,3 @@ def record_event(session: Session, caller: Caller, action: str, subject: str, sa
         "address": caller.address,
         "request_id": caller.request_id,
     }
-    session.connection().execute(NEW_EVENT, event)

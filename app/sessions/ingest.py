@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Final
@@ -23,7 +24,7 @@ from app.satellites.repository import SatelliteRepository
 from app.satellites.schemas import Policy
 from app.satellites.tables import Magnetometer
 from app.sessions.reading import SensorReading, format_of
-from app.sessions.repository import Parsed, SessionRepository
+from app.sessions.repository import Parsed, SessionRepository, Writing
 from app.sessions.schemas import UploadQuery
 from app.sessions.tables import TelemetrySession
 from app.sessions.upload import Upload
@@ -103,19 +104,27 @@ class Ingest:
         parsed = self._parsed(magnetometer, asked.upload, may_be_empty=asked.query.open) if found is None else None
         return Prepared(asked, magnetometer, parsed)
 
-    def write(self, session: Session, prepared: Prepared) -> Kept:
-        """Return what ``prepared`` is kept as once the transaction of ``session`` is durable."""
+    def write(self, session: Session, uploads: Sequence[Prepared]) -> list[Kept]:
+        """Return what ``uploads`` are kept as once the transaction of ``session`` is durable."""
+        writing = Writing()
+        rows = [self._create(session, one, writing) for one in uploads]
+        writing.write(session, self._store)
+        return [
+            Kept(row, is_new, self._follow_policy(session, one.asked.caller, one.magnetometer, row) if is_new else None)
+            for one, (row, is_new) in zip(uploads, rows, strict=True)
+        ]
+
+    def _create(self, session: Session, prepared: Prepared, writing: Writing) -> tuple[TelemetrySession, bool]:
         asked = prepared.asked
         # Equal bytes are found by the insert itself; only what a key made has to be looked for.
-        row = None if asked.key is None else self._find(session, asked)
-        is_new, job_id = False, None
+        row, is_new = (None if asked.key is None else self._find(session, asked)), False
         if row is None:
             row, is_new = SessionRepository(session, asked.caller).create(
-                asked.satellite_id, prepared.magnetometer.id, prepared.parsed, self._store, is_open=asked.query.open
+                asked.satellite_id, prepared.magnetometer.id, prepared.parsed, writing, is_open=asked.query.open
             )
-            job_id = self._follow_policy(session, asked.caller, prepared.magnetometer, row) if is_new else None
-        remember(session, asked.caller, asked.key, asked.fingerprint, row.id)
-        return Kept(row, is_new, job_id)
+        if asked.key is not None:
+            remember(session, asked.caller, asked.key, asked.fingerprint, row.id)
+        return row, is_new
 
     def tell(self, prepared: Prepared, kept: Kept) -> None:
         """Count an upload that is durable, and wake whoever waits for its job."""

@@ -1,7 +1,7 @@
-"""Who does the steps of an upload: a few threads read, and one writes what has been read since its last commit.
+"""Who does the steps of an upload: a few threads read long ones, one reads short ones and writes all of them.
 
-However many stations send at once, no more threads than processors compete to read, and uploads that become ready
-while one transaction is made durable share the next one. None is acknowledged before its transaction is.
+However many stations send at once, no more threads than processors compete to read, and uploads that wait together
+are read one after the other and then share one transaction. None is acknowledged before its transaction is durable.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from magcal_core.errors import MagcalError
 
 READERS: Final = max(2, os.cpu_count() or 1)
 SMALL_BYTES: Final = 1 << 17
-"""Bodies up to this size have a reader of their own, so that long ones do not hold them up."""
+"""Bodies up to this size are read by the thread that writes: long ones do not hold them up, nor they each other."""
 MOST_TOGETHER: Final = 32
 MOST_BYTES_TOGETHER: Final = 16 << 20
 """Body beyond which no further upload joins a transaction."""
@@ -49,16 +49,16 @@ class Keeper:
     def __init__(self, ingest: Ingest, database: Database) -> None:
         self._ingest = ingest
         self._database = database
-        self._small = ThreadPoolExecutor(1, "read-small")
-        self._large = ThreadPoolExecutor(READERS, "read")
+        self._readers = ThreadPoolExecutor(READERS, "read")
         self._writer = ThreadPoolExecutor(1, "keep")
         self._waiting: deque[_Waiting] = deque()
 
     async def keep(self, asked: Asked) -> Kept:
         """Return the session of an upload, durable; the same bytes and the same key give the same session."""
         loop = asyncio.get_running_loop()
-        readers = self._small if len(asked.upload.content) <= SMALL_BYTES else self._large
-        prepared = await loop.run_in_executor(readers, self._ingest.prepare, asked)
+        # Behind those that wait to be read already: so they are all read before the first of them is written.
+        reader = self._writer if len(asked.upload.content) <= SMALL_BYTES else self._readers
+        prepared = await loop.run_in_executor(reader, self._ingest.prepare, asked)
         if isinstance(prepared, Kept):
             return prepared
         mine = _Waiting(prepared)
@@ -72,7 +72,7 @@ class Keeper:
 
     def close(self) -> None:
         """Let what has been begun end."""
-        for threads in (self._small, self._large, self._writer):
+        for threads in (self._readers, self._writer):
             threads.shutdown()
 
     def _written(self, mine: _Waiting) -> Kept:
@@ -113,4 +113,4 @@ class Keeper:
 
     def _transaction(self, batch: Sequence[_Waiting]) -> list[Kept]:
         with self._database.write() as session:
-            return [self._ingest.write(session, one.prepared) for one in batch]
+            return self._ingest.write(session, [one.prepared for one in batch])

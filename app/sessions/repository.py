@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from typing import Final
 
@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session
 
 from app.database import new_id, utc_now
 from app.errors import ConflictError, ExpiredError, NotFoundError, QuotaError
-from app.keys.repository import Caller, record_event
+from app.keys.repository import NEW_EVENT, Caller, event_of, record_event
 from app.paging import fetch_page
 from app.satellites.repository import within_reach
 from app.satellites.tables import Magnetometer, Satellite
@@ -116,6 +116,40 @@ NOTHING: Final[dict[str, object]] = {
 """What a session says of its telemetry before there is any."""
 
 
+@dataclass(frozen=True, slots=True)
+class Writing:
+    """What uploads of one transaction write beside their sessions: one statement serves all of them."""
+
+    objects: list[tuple[str, Packed]] = field(default_factory=list)
+    chunks: list[dict[str, object]] = field(default_factory=list)
+    events: list[dict[str, object]] = field(default_factory=list)
+
+    def add(self, row: TelemetrySession, sequence: int, parsed: Parsed) -> None:
+        """Add a chunk of the session ``row`` with its bytes and their columnar form."""
+        self.objects.append((raw_key(row.satellite_id, parsed.raw.sha256), parsed.raw))
+        self.objects.append((columns_key(row.id, sequence), parsed.columns))
+        self.chunks.append(
+            {
+                "session_id": row.id,
+                "sequence": sequence,
+                "sha256": parsed.raw.sha256,
+                "size_bytes": len(parsed.raw.content),
+                "format": parsed.format,
+                "media_type": parsed.media_type,
+                "samples": len(parsed.telemetry.samples),
+                "columns_sha256": parsed.columns.sha256,
+                "created_at": utc_now(),
+            }
+        )
+
+    def write(self, session: Session, store: Store) -> None:
+        """Write everything; the sessions are there."""
+        store.put_all(session, self.objects)
+        for statement, values in ((NEW_CHUNK, self.chunks), (NEW_EVENT, self.events)):
+            if values:
+                session.connection().execute(statement, values)
+
+
 class SessionRepository:
     """The sessions that a caller reaches."""
 
@@ -176,9 +210,12 @@ class SessionRepository:
         )
 
     def create(
-        self, satellite_id: str, magnetometer_id: str, parsed: Parsed | None, store: Store, *, is_open: bool
+        self, satellite_id: str, magnetometer_id: str, parsed: Parsed | None, writing: Writing, *, is_open: bool
     ) -> tuple[TelemetrySession, bool]:
-        """Return the session of an upload, and whether it is new: of equal uploads, only one is."""
+        """Return the session of an upload, and whether it is new: of equal uploads, only one is.
+
+        What else a new one needs is added to ``writing``.
+        """
         sha256 = None if parsed is None or is_open else parsed.raw.sha256
         values: dict[str, object] = {
             "id": new_id(),
@@ -200,8 +237,8 @@ class SessionRepository:
             return found, False
         row = TelemetrySession(**values)
         if parsed is not None:
-            self._keep_chunk(row, 0, parsed, store)
-        record_event(self.session, self.caller, "session.create", row.id, satellite_id)
+            writing.add(row, 0, parsed)
+        writing.events.append(event_of(self.caller, "session.create", row.id, satellite_id))
         return row, True
 
     def append(self, row: TelemetrySession, parsed: Parsed, store: Store) -> None:
@@ -213,7 +250,9 @@ class SessionRepository:
             raise ConflictError("the session is closed")
         for name, value in parsed.added_to(row).items():
             setattr(row, name, value)
-        self._keep_chunk(row, len(chunks), parsed, store)
+        writing = Writing()
+        writing.add(row, len(chunks), parsed)
+        writing.write(self.session, store)
 
     def close(self, row: TelemetrySession) -> None:
         """Close an open session; its identity is then that of its chunks."""
@@ -227,20 +266,6 @@ class SessionRepository:
             raise ConflictError("there is a session of the same chunks already")
         row.sha256, row.state, row.closed_at = sha256, "closed", utc_now()
         record_event(self.session, self.caller, "session.close", row.id, row.satellite_id)
-
-    def _keep_chunk(self, row: TelemetrySession, sequence: int, parsed: Parsed, store: Store) -> None:
-        values = {
-            "session_id": row.id,
-            "sequence": sequence,
-            "sha256": store.put(self.session, raw_key(row.satellite_id, parsed.raw.sha256), parsed.raw),
-            "size_bytes": len(parsed.raw.content),
-            "format": parsed.format,
-            "media_type": parsed.media_type,
-            "samples": len(parsed.telemetry.samples),
-            "columns_sha256": store.put(self.session, columns_key(row.id, sequence), parsed.columns),
-            "created_at": utc_now(),
-        }
-        self.session.connection().execute(NEW_CHUNK, values)
 
     def chunks(self, session_id: str) -> Sequence[Chunk]:
         """Return the chunks of a session in the order of their arrival."""
