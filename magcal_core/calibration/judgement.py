@@ -111,7 +111,7 @@ def judgement_of(  # noqa: PLR0917
         after,
         unseen,
         observability,
-        advice(observability.index, motion, observations.b_nt),
+        advice(observability.index, motion, observations.b_nt, duration_s),
         judge(evidence),
         motion_words(motion),
     )
@@ -224,6 +224,7 @@ def extras_of(judgement: Judgement, parameters: Parameters, samples: int) -> Map
             "method": "lowest frequencies of the scores, correlations by blocks, Student's t contained",
             "blocks": judgement.honest.blocks,
             "block_samples": min(judgement.honest.block_samples, samples),
+            "longest_memory_s": judgement.honest.longest_memory_s,
             "reference": [one.to_dict(parameters) for one in judgement.reference],
         },
         "advice": list(judgement.advice),

@@ -15,7 +15,8 @@ beforehand, every other one an equal share of the rest; and the parameters share
 white, so most probably is the one that is in doubt. The standard error is that 1.96 of it hold 95 % of the mixture of
 the normal laws that remain. So one long wave that shows widens the interval, and so does, by less, the one that so
 short a session could not have shown. Memories are times, not shares of the session: what moves a bias (heat, currents,
-the orbit) remembers minutes to hours, whatever the length of the data.
+the orbit) remembers minutes to hours, whatever the length of the data. Longer ones count as far as the session shows
+them: an error with the period of the orbit beats slowly with what the parameters do over an orbit.
 """
 
 from __future__ import annotations
@@ -30,8 +31,10 @@ from magcal_core.calibration.fit import BlockScores, scaled_inverse
 
 Floats = NDArray[np.float64]
 
-MEMORIES_S: Final = tuple(120.0 * 2.0**i for i in range(8))
-"""Correlation times that are tried, s: 2 minutes to 4.3 hours."""
+MEMORIES_S: Final = tuple(120.0 * 2.0**i for i in range(12))
+"""Correlation times that are tried, s: 2 minutes to 2.8 days."""
+UNSEEN_S: Final = 16000.0
+"""Correlation time, s, up to which one is tried that is longer than the session."""
 MOST_SESSIONS: Final = 6.0
 """Longest correlation time that is tried, in lengths of the session: of a longer one nothing shows but its start."""
 SIZES: Final = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
@@ -74,11 +77,18 @@ def low_frequency_variances(scores: BlockScores, duration_s: float) -> tuple[Flo
     return factor * np.einsum("pa,ab,pb->p", to_parameters, total, to_parameters), count
 
 
+def longest_memory_s(duration_s: float) -> float:
+    """Return the longest correlation time, s, that a session of ``duration_s`` is held against."""
+    return min(max(duration_s, min(MOST_SESSIONS * duration_s, UNSEEN_S)), MEMORIES_S[-1])
+
+
 def _memories(duration_s: float, m: int) -> tuple[float, ...]:
     """Return the correlation times that ``m`` blocks over ``duration_s`` can tell from white noise, in sessions."""
-    octaves = (np.log2(memory_s / max(duration_s, 1e-9)) for memory_s in MEMORIES_S)
+    length_s = max(duration_s, 1e-9)
+    longest_s = longest_memory_s(length_s)
+    octaves = (np.log2(memory_s / length_s) for memory_s in MEMORIES_S if memory_s <= longest_s)
     shares = (float(2.0 ** (round(_STEPS_AN_OCTAVE * octave) / _STEPS_AN_OCTAVE)) for octave in octaves)
-    return tuple(share for share in shares if _SHORTEST_BLOCKS / m <= share <= MOST_SESSIONS)
+    return tuple(share for share in shares if share >= _SHORTEST_BLOCKS / m)
 
 
 def _weights(likelihood: Floats) -> Floats:

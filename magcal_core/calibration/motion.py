@@ -11,6 +11,8 @@ from magcal_core.calibration.observability import SHORT_NAMES, WEAK_BELOW, Scala
 
 Floats = NDArray[np.float64]
 
+SHORT_S: Final = 5100.0
+"""Time, s, below which errors that remember an orbit hide: in half an orbit, 95 % intervals of the bias held 70 %."""
 _FLAT: Final = 0.08
 """Spread of the field's direction, root mean square, below which it stands still along an axis: 5 deg."""
 
@@ -49,8 +51,8 @@ def vector_weak_words(index: float, spreads: Floats, directions: Floats) -> tupl
     return (f"the field hardly varied along {named} of the base frame: {spreads[0]:.1%} of its size",)
 
 
-def advice(index: float, motion: SphereMotion, magnitudes_nt: Floats) -> tuple[str, ...]:
-    """Return what would help a weak calibration most; empty where nothing is lacking."""
+def advice(index: float, motion: SphereMotion, magnitudes_nt: Floats, duration_s: float) -> tuple[str, ...]:
+    """Return what would help a calibration most; empty where nothing is lacking. ``duration_s``: time covered, s."""
     found = []
     if motion.spreads[0] < 0.25:
         axis = motion.axes[:, 1]
@@ -66,4 +68,9 @@ def advice(index: float, motion: SphereMotion, magnitudes_nt: Floats) -> tuple[s
     if index < WEAK_BELOW:
         readings = max(2, round((WEAK_BELOW / max(index, 0.1)) ** 2))
         found.append(f"or average {readings} readings into one: the noise is what is in the way")
+    if duration_s < SHORT_S:
+        found.append(
+            f"measure for an orbit or more, or in several sessions: {duration_s / 60.0:.2g} minutes give the bias of "
+            "that time, and errors that remember longer do not show in them"
+        )
     return tuple(found)

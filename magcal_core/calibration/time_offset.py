@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 AUTO_AGE_DAYS: Final = 3.0
 """Age of an orbit from which on ``auto`` looks for an offset."""
-SIGNIFICANCE: Final = 0.04
+SIGNIFICANCE: Final = 0.03
 """Probability of a false offset that the test allows."""
 _ROUNDS: Final = 15
 _SMALL_S: Final = 5e-3

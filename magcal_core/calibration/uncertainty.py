@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.calibration.fit import BlockScores, scaled_inverse
-from magcal_core.calibration.low_frequencies import low_frequency_variances
+from magcal_core.calibration.low_frequencies import longest_memory_s, low_frequency_variances
 
 Floats = NDArray[np.float64]
 
@@ -41,11 +41,13 @@ class HonestCovariance:
     """Covariance of the parameters, in the order of `Parameters.names`, and the blocks it was taken from.
 
     The covariance contains Student's t: 1.96 standard errors are 95 % although the frequencies are few.
+    ``longest_memory_s``: up to which correlation time, s, errors were allowed for.
     """
 
     covariance: Floats
     blocks: int
     block_samples: int
+    longest_memory_s: float
 
 
 def covered_s(t_s: Floats) -> float:
@@ -75,7 +77,8 @@ def honest_covariance(scores: BlockScores, formal: Floats, samples: int, duratio
     variances, frequencies = low_frequency_variances(scores, duration_s)
     wanted = np.maximum(variances * (student_95(frequencies) / 1.96) ** 2, np.diag(formal))
     raise_by = np.sqrt(wanted / np.maximum(np.diag(covariance), 1e-300))
-    return HonestCovariance(covariance * np.outer(raise_by, raise_by), m, max(1, round(samples * per_block / count)))
+    widened = covariance * np.outer(raise_by, raise_by)
+    return HonestCovariance(widened, m, max(1, round(samples * per_block / count)), longest_memory_s(duration_s))
 
 
 def _left_out(normals: Floats, scores: Floats) -> Floats:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from magcal_core.calibration.fit import BlockScores
-from magcal_core.calibration.low_frequencies import low_frequency_variances
+from magcal_core.calibration.low_frequencies import longest_memory_s, low_frequency_variances
 
 SESSION_S = 6 * 3600.0
 """Length of the sessions, s: memories from half a percent of it to as long as it is are tried."""
@@ -63,3 +63,17 @@ def test_what_the_fit_takes_up_is_allowed_for():
         blocks = (x * residual).reshape(40, 5).sum(axis=1)[:, None], (x**2).reshape(40, 5).sum(axis=1)[:, None, None]
         found.append(low_frequency_variances(BlockScores(*blocks, np.arange(0, 200, 5), np.eye(1)), SESSION_S)[0][0])
     assert 0.8 < np.mean(found) * (x @ x) < 4.0
+
+
+@pytest.mark.parametrize(("hours", "longest_h"), [(0.1, 0.6), (0.8, 16000 / 3600), (2.0, 16000 / 3600), (17.6, 17.6)])
+def test_memories_are_hours_whatever_the_session(hours, longest_h):
+    """Six sessions, but not more than 4.4 h; the session itself where that is longer."""
+    assert longest_memory_s(hours * 3600.0) == pytest.approx(longest_h * 3600.0)
+
+
+def test_the_same_scores_hide_more_in_a_short_session():
+    """40 white series: what remembers hours shows in a day of data, and could not have shown in half an hour."""
+    random = np.random.default_rng(4)
+    series = [mean_of(random.normal(size=(50, 20))) for _ in range(40)]
+    short, long = ([low_frequency_variances(one, s)[0][0] for one in series] for s in (1800.0, 86400.0))
+    assert np.median(short) > 1.05 * np.median(long)

@@ -10,6 +10,7 @@ from scipy.stats import t as student
 
 from magcal_core.calibration import ESTIMATORS, FitSettings, Observations
 from magcal_core.calibration.bootstrap import bootstrap
+from magcal_core.calibration.judgement import Circumstances, judgement_of
 from magcal_core.calibration.uncertainty import covered_s, honest_covariance, student_95
 from magcal_core.telemetry import read_samples
 
@@ -80,6 +81,26 @@ def test_bootstrap_repeats_with_its_seed(mission):
     fit, _ = errors_of(observations)
     first, second = (bootstrap(ESTIMATORS["scalar"], observations, PLAIN, fit, 10, 20, seed=3) for _ in range(2))
     assert first.to_dict() == second.to_dict()
+
+
+def test_time_covered_leaves_gaps_out():
+    """Two runs of 1000 s at 10 s, a day apart: 2000 s and a few steps, each step being of 8 s to 10 s of samples."""
+    run = np.arange(0.0, 1000.0, 10.0)
+    assert covered_s(run) == pytest.approx(990.0)
+    assert covered_s(np.concatenate([run, run + 86400.0])) == pytest.approx(1990.0, abs=40.0)
+    assert covered_s(np.zeros(1)) == 0.0
+
+
+def test_a_short_session_is_told_to_last_longer(mission):
+    """Half an hour hides what remembers an orbit: the record says how long a memory was allowed for, and what helps."""
+    told = {}
+    for n in (180, 1150):
+        observations = Observations.of(mission(n=n, noise_nt=60.0).samples)
+        fit = ESTIMATORS["scalar"].fit(observations, PLAIN)
+        told[n] = judgement_of(ESTIMATORS["scalar"], observations, fit, PLAIN, Circumstances(0.0, False, 0))
+    assert any(line.startswith("measure for an orbit or more") for line in told[180].advice)
+    assert not any(line.startswith("measure for an orbit or more") for line in told[1150].advice)
+    assert told[180].honest.longest_memory_s == pytest.approx(6 * 1790.0)
 
 
 def test_tabulated_student_quantiles():
