@@ -1,5 +1,8 @@
 """Do 95 % intervals hold the truth under coloured errors? Kinds of error x lengths of session x methods.
 
+No mission has a perfect reference: the field has an external part and anomalies of the crust that the model lacks, and
+the orbit is late along its track, by an error drawn as large as TLEs of its age have. The kinds of error come on top.
+
 ``MAGCAL_COVERAGE`` sets the number of missions of each.
 """
 
@@ -14,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.measure import Figure
+from magcal_core.calibration.error_budget import DRAG_KM_PER_DAY2, DRIFT_KM_PER_DAY, EPOCH_ERROR_KM
 from magcal_core.errors import EstimationError
-from magcal_core.field import FieldModel
-from magcal_core.field.igrf import Igrf
 from magcal_core.missions import DisplacedOrbit, DisturbedField, draw_orbit
 from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
@@ -31,16 +33,20 @@ ORBIT_S: Final = 5700.0
 ORBITS: Final = (0.5, 1.0, 2.0, 4.0, 10.0)
 METHODS: Final = ("scalar", "vector", "vector-closed-form", "scalar-hooke-jeeves")
 KINDS: Final = {
-    "white noise, 60 nT": "white",
+    "none": "white",
     "bias remembers 5 min, 100 nT": "random 5",
     "bias remembers 15 min, 100 nT": "random 15",
     "bias remembers 30 min, 100 nT": "random 30",
     "bias remembers 90 min, 100 nT": "random 90",
     "wave of 40 min, 250 nT, one axis": "wave",
     "temperature, 150 nT, one orbit": "temperature",
-    "orbit late, 1.5 km": "late",
-    "crust and external field": "field",
+    "orbit 2.5 days old": "old",
 }
+FRESH_DAYS: Final = 0.5
+OLD_DAYS: Final = 2.5
+FLIGHT_KM_S: Final = 7.6
+_INDEPENDENT: Final = 3
+"""Of a mission's nine parameters, as how many independent ones they count."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +64,6 @@ def covered(kind: str, orbits: float, method: str, seed: int) -> Covered | None:
     start = np.datetime64("2022-01-01", "ns") + np.timedelta64(int(random.uniform(0, 3e7)), "s")
     orbit: Orbit = draw_orbit(random, start)
     sensor = SensorModel(random.uniform(-5000, 5000, 3), random.uniform(0.9, 1.1, 3), random.uniform(-5.0, 5.0, 3))
-    field: FieldModel = DisturbedField.drawn(random) if kind == "field" else Igrf()
     rate_deg_s = float(np.exp(random.uniform(np.log(0.1), np.log(2.0))))
     made = simulate(
         orbit,
@@ -66,7 +71,7 @@ def covered(kind: str, orbits: float, method: str, seed: int) -> Covered | None:
         start,
         orbits * ORBIT_S,
         10.0 if orbits <= 4 else 20.0,
-        field_model=field,
+        field_model=DisturbedField.drawn(random),
         rate_deg_s=rate_deg_s,
         moments=(0.08, 0.1, 0.06),
         disturbances=Disturbances(60.0),
@@ -75,7 +80,11 @@ def covered(kind: str, orbits: float, method: str, seed: int) -> Covered | None:
     t_s = (made.samples.t_utc - start) / np.timedelta64(1, "s")
     moved_nt = _bias_nt(kind, t_s, random)
     samples = replace(made.samples, h_nt=made.samples.h_nt + moved_nt)
-    reference = DisplacedOrbit(orbit, start, 0.5, float(random.normal()) * 1.5 / 7.6, 0.0) if kind == "late" else orbit
+    age_days = OLD_DAYS if kind == "old" else FRESH_DAYS
+    late_km = float(
+        random.normal() * np.hypot(EPOCH_ERROR_KM, DRIFT_KM_PER_DAY * age_days + DRAG_KM_PER_DAY2 * age_days**2)
+    )
+    reference = DisplacedOrbit(orbit, start, age_days, late_km / FLIGHT_KM_S, 0.0)
     try:
         found = calibrate(samples, [reference], CalibrationOptions(method=method))
     except EstimationError:
@@ -106,6 +115,13 @@ def _bias_nt(kind: str, t_s: Floats, random: np.random.Generator) -> Floats:
     return values
 
 
+def wilson(share: float, count: int) -> tuple[float, float]:
+    """Return the 95 % interval of a probability that was seen as ``share`` in ``count`` trials."""
+    z2 = 1.96**2 / count
+    middle, half = (share + z2 / 2) / (1 + z2), np.sqrt(z2 * (share * (1 - share) + z2 / 4)) / (1 + z2)
+    return float(middle - half), float(middle + half)
+
+
 def figures() -> Iterator[Figure]:
     """Yield the coverage of every kind, length and method, over all nine parameters."""
     missions = int(os.environ.get("MAGCAL_COVERAGE", MISSIONS))
@@ -120,8 +136,11 @@ def figures() -> Iterator[Figure]:
                 share = 100.0 * float(truth.mean())
                 groups = (100.0 * truth.mean(axis=0)).reshape(3, 3).mean(axis=1)
                 session = 100.0 * float(np.mean([one.session for one in found]))
+                low, high = wilson(share / 100.0, _INDEPENDENT * len(found))
                 note = (
-                    f"bias {groups[0]:.0f} (the session's {session:.0f}), scale {groups[1]:.0f}, angles {groups[2]:.0f}"
+                    f"bias {groups[0]:.0f} (the session's {session:.0f}), scale {groups[1]:.0f}, "
+                    f"angles {groups[2]:.0f}; by chance {100 * low:.0f} to {100 * high:.0f}"
                 )
                 what = f"{method}, {name}, {orbits:g} orbits"
-                yield Figure("coverage", what, share, "%", ">= 90", share >= 90.0, f"{note}; {len(found)} missions")
+                is_met = low <= 0.98 and high >= 0.90
+                yield Figure("coverage", what, share, "%", "90 to 98", is_met, f"{note}; {len(found)} missions")
