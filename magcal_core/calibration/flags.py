@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.calibration.medians import peaks_above, running_median
-from magcal_core.calibration.weights import GAUSSIAN_MAD
+from magcal_core.calibration.weights import robust_sigma
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -30,7 +30,7 @@ def spikes(residuals: Floats) -> Mask:
     size = np.atleast_2d(residuals.T)
     found = np.zeros(size.shape[1], dtype=bool)
     for row in size:
-        scale = GAUSSIAN_MAD * float(np.median(np.abs(row)))
+        scale = robust_sigma(row)
         if scale > 0:
             away = np.abs(row - _running_median(row)) > SPIKE * scale
             found |= away & (np.abs(row) > SPIKE * scale)
@@ -47,7 +47,7 @@ def jumps(residuals: Floats) -> Mask:
         windows = running_median(np.ascontiguousarray(row), _SIDE)
         step = np.zeros(row.size)
         step[_SIDE : row.size - _SIDE + 1] = np.abs(windows[_SIDE:] - windows[:-_SIDE])
-        noise = GAUSSIAN_MAD * float(np.median(np.abs(np.diff(row)))) / np.sqrt(2.0)
+        noise = robust_sigma(np.diff(row)) / np.sqrt(2.0)
         limit = max(JUMP * float(np.median(step)), JUMP_NOISE * noise)
         if limit <= 0:
             continue

@@ -57,7 +57,8 @@ def slope_of(loss: int, s2: float) -> float:  # pragma: no cover - compiled
     if loss == 1:
         slope = 1.0 if s2 <= 1.0 else 0.0
     elif loss == 2:
-        slope = (1.0 + s2) ** -1.5
+        root = math.sqrt(1.0 + s2)
+        slope = 1.0 / (root * root * root)
     elif loss == 3:
         slope = (1.0 - s2) / (1.0 + s2) ** 2
     elif loss == 4:
@@ -167,6 +168,14 @@ def add_products(rows: Floats, count: int, total: Floats) -> None:  # pragma: no
             total[c, d + 1] += t01
             total[c + 1, d] += t10
             total[c + 1, d + 1] += t11
+
+
+def products_of(rows: Floats) -> Floats:
+    """Return rows rows^T, shape (c, c), of an even number of C-contiguous rows, shape (c, n), on one core."""
+    total = np.zeros((len(rows), len(rows)))
+    add_products(rows, rows.shape[1], total)
+    upper = np.triu(total)
+    return upper + np.triu(upper, 1).T
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
+from magcal_core.calibration.kernels import add_products
 from magcal_core.sensor import inverse_lower
 
 Floats = NDArray[np.float64]
 
-_ROWS = 65536
+_ROWS = 256
+_LOWER = np.tril_indices(3)
 
 
 def closed_form_starts(h_nt: Floats, b_nt: Floats, weights: Floats) -> list[Floats]:
@@ -25,23 +30,32 @@ def closed_form_starts(h_nt: Floats, b_nt: Floats, weights: Floats) -> list[Floa
     3. |h|^2 = 2 b.h + k^2 B^2 - |b|^2 for one scale factor: always there.
     """
     used = weights > 0
-    scale_nt = float(np.sqrt(np.mean(np.sum(h_nt[used] ** 2, axis=1)))) or 1.0
-    gram = _gram(h_nt / scale_nt, b_nt / scale_nt, weights)
-    starts = [_ten_unknowns(gram), _homogeneous(gram), _sphere(h_nt / scale_nt, b_nt / scale_nt, weights)]
+    squares = np.einsum("ij,ij->i", h_nt, h_nt)
+    scale_nt = float(np.sqrt(np.mean(squares if used.all() else squares[used]))) or 1.0
+    gram = _gram(h_nt, b_nt, weights, 1.0 / scale_nt)
+    starts = [_ten_unknowns(gram), _homogeneous(gram), _sphere(gram)]
     return [np.concatenate([start[:6], start[6:] * scale_nt]) for start in starts if start is not None]
 
 
-def _gram(h: Floats, b: Floats, weights: Floats) -> Floats:
-    """Return the 11 x 11 moments of (six squares of h, -2 h, 1, B^2) / (2 B)."""
-    gram = np.zeros((11, 11))
-    for start in range(0, len(b), _ROWS):
-        part = slice(start, start + _ROWS)
-        h1, h2, h3 = h[part].T
-        columns = [h1 * h1, h2 * h2, h3 * h3, 2 * h1 * h2, 2 * h1 * h3, 2 * h2 * h3]
-        columns += [-2 * h1, -2 * h2, -2 * h3, np.ones_like(h1), b[part] ** 2]
-        rows = np.stack(columns) * (np.sqrt(weights[part]) / (2 * b[part]))
-        gram += rows @ rows.T
-    return gram
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+def _gram(h: Floats, b: Floats, weights: Floats, scale: float) -> Floats:  # pragma: no cover - compiled
+    """Return the moments of (six squares of h, -2 h, 1, B^2, 0) / (2 B), shape (12, 12), h and B times ``scale``."""
+    rows, total = np.zeros((12, _ROWS)), np.zeros((12, 12))
+    for start in range(0, b.size, _ROWS):
+        count = min(_ROWS, b.size - start)
+        for i in range(count):
+            size = scale * b[start + i]
+            x, y, z = scale * h[start + i, 0], scale * h[start + i, 1], scale * h[start + i, 2]
+            root = math.sqrt(weights[start + i]) / (2.0 * size)
+            rows[0, i], rows[1, i], rows[2, i] = root * x * x, root * y * y, root * z * z
+            rows[3, i], rows[4, i], rows[5, i] = 2.0 * root * x * y, 2.0 * root * x * z, 2.0 * root * y * z
+            rows[6, i], rows[7, i], rows[8, i] = -2.0 * root * x, -2.0 * root * y, -2.0 * root * z
+            rows[9, i], rows[10, i] = root, root * size * size
+        add_products(rows, count, total)
+    for i in range(12):
+        for j in range(i):
+            total[i, j] = total[j, i]
+    return total
 
 
 def _ten_unknowns(gram: Floats) -> Floats | None:
@@ -79,18 +93,24 @@ def _start_of_quadric(solution: Floats, mean_square: float | None) -> Floats | N
     return _start(lower, bias)
 
 
-def _sphere(h: Floats, b: Floats, weights: Floats) -> Floats:
-    root = np.sqrt(weights) / (2 * b)
-    rows = np.column_stack([2 * h, b**2, -np.ones_like(b)]) * root[:, None]
-    solution = np.linalg.lstsq(rows, np.sum(h**2, axis=1) * root, rcond=None)[0]
+def _sphere(gram: Floats) -> Floats:
+    """Return the start with one scale factor: moments of (2 h, B^2, -1) and |h|^2 are combinations of the others."""
+    carry = np.zeros((6, len(gram)))
+    carry[[0, 1, 2, 4], [6, 7, 8, 9]] = -1.0
+    carry[3, 10] = 1.0
+    carry[5, :3] = 1.0
+    moments = carry @ gram @ carry.T
+    size = np.sqrt(np.maximum(np.diag(moments)[:5], 1e-300))
+    left, right = moments[:5, :5] / np.outer(size, size), moments[:5, 5] / size
+    solution = np.linalg.lstsq(left, right, rcond=1e-14)[0] / size
     bias, square = solution[:3], float(solution[3])
     if not 1e-4 < square < 1e4:
         # B hardly varies: B^2 and the constant cannot be told apart, their difference can.
-        constant = float(np.mean(solution[3] * b[weights > 0] ** 2) - solution[4]) + float(bias @ bias)
-        square = max(constant, 1e-8) / float(np.mean(b[weights > 0] ** 2))
+        mean_square = float(gram[9, 10] / gram[9, 9])
+        constant = float(solution[3] * mean_square - solution[4]) + float(bias @ bias)
+        square = max(constant, 1e-8) / mean_square
     return _start(np.eye(3) / np.sqrt(square), bias)
 
 
 def _start(lower: Floats, bias: Floats) -> Floats:
-    rows, columns = np.tril_indices(3)
-    return np.concatenate([lower[rows, columns], lower @ bias])
+    return np.concatenate([lower[_LOWER], lower @ bias])

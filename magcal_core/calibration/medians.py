@@ -84,14 +84,22 @@ def median_size(
 def running_median(values: Floats, width: int) -> Floats:  # pragma: no cover - compiled
     """Return the median of each window of ``width`` values, odd, shape (n - width + 1,); none may be NaN."""
     out = np.empty(max(values.size - width + 1, 0))
-    window = np.empty(width)
-    for start in range(out.size):
-        for i in range(width):
-            value, j = values[start + i], i
-            while j > 0 and window[j - 1] > value:
-                window[j] = window[j - 1]
-                j -= 1
-            window[j] = value
+    if out.size == 0:
+        return out
+    window = np.sort(values[:width])
+    out[0] = window[width // 2]
+    for start in range(1, out.size):
+        # The window stays sorted: the value that enters takes the place of the one that leaves, and moves from there.
+        value, leaving, j = values[start + width - 1], values[start - 1], 0
+        while window[j] != leaving:
+            j += 1
+        while j > 0 and window[j - 1] > value:
+            window[j] = window[j - 1]
+            j -= 1
+        while j < width - 1 and window[j + 1] < value:
+            window[j] = window[j + 1]
+            j += 1
+        window[j] = value
         out[start] = window[width // 2]
     return out
 

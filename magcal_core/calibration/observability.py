@@ -11,7 +11,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from magcal_core.calibration.corrections import lengths
 from magcal_core.calibration.jacobians import matrix_jacobian
+from magcal_core.calibration.kernels import products_of
 from magcal_core.sensor import inverse_lower
 
 Floats = NDArray[np.float64]
@@ -75,7 +77,7 @@ def scalar_information(x_nt: Floats, matrix: Floats, noise_nt: float) -> ScalarI
     m in x makes such a form (2 E x + f).m; both moments are taken over the samples and compared.
     """
     x_nt = x_nt[:: max(1, len(x_nt) // ENOUGH)]
-    mean_nt = float(np.mean(np.linalg.norm(x_nt, axis=1)))
+    mean_nt = float(np.mean(lengths(x_nt)))
     lower = inverse_lower(matrix)
     plain, signal, noise = _moments(x_nt / mean_nt, lower)
     share = max(noise_nt / mean_nt, SIGMA_FLOOR)
@@ -92,20 +94,29 @@ def scalar_information(x_nt: Floats, matrix: Floats, noise_nt: float) -> ScalarI
 
 def _moments(x: Floats, lower: Floats) -> tuple[Floats, Floats, Floats]:
     """Return, per sample: moments of the unit design, of the polynomials (x^T E x, f^T x), and of their noise."""
-    length = np.linalg.norm(x, axis=1)
-    rows = np.column_stack([x[:, i] * x[:, j] * (1.0 if i == j else _ROOT2) for i, j in _QUADRATIC] + [x])
-    unit = rows / length[:, None]
+    rows = np.empty((10, len(x)))
+    rows[6:9], rows[9] = x.T, 1.0
+    for k, (i, j) in enumerate(_QUADRATIC):
+        np.multiply(rows[6 + i], rows[6 + j], out=rows[k])
+    rows[3:6] *= _ROOT2
+    unit = rows / np.sqrt(rows[0] + rows[1] + rows[2])
+    moments, plain = products_of(rows) / len(x), products_of(unit) / len(x)
     noise = np.zeros((9, 9))
     for axis in range(3):
-        slope = _slopes(x, lower[:, axis])
-        noise += slope.T @ slope
-    return unit.T @ unit / len(x), rows.T @ rows / len(x), noise / len(x)
+        slopes = _slopes(lower[:, axis])
+        noise += slopes @ moments[6:, 6:] @ slopes.T
+    return plain[:9, :9], moments[:9, :9], noise
 
 
-def _slopes(x: Floats, direction: Floats) -> Floats:
-    """Return the derivative of each polynomial along ``direction``, shape (n, 9)."""
-    quadratic = [(x[:, i] * direction[j] + x[:, j] * direction[i]) * (1.0 if i == j else _ROOT2) for i, j in _QUADRATIC]
-    return np.column_stack([*quadratic, np.broadcast_to(direction, x.shape)])
+def _slopes(direction: Floats) -> Floats:
+    """Return the derivative of each polynomial along ``direction``, in terms of (x1, x2, x3, 1), shape (9, 4)."""
+    slopes = np.zeros((9, 4))
+    for k, (i, j) in enumerate(_QUADRATIC):
+        factor = 1.0 if i == j else _ROOT2
+        slopes[k, i] += factor * direction[j]
+        slopes[k, j] += factor * direction[i]
+    slopes[6:, 3] = direction
+    return slopes
 
 
 def _generalised(signal: Floats, noise: Floats) -> tuple[Floats, Floats]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.calibration.corrections import correct
 from magcal_core.calibration.descent import descend
 from magcal_core.calibration.fit import (
     BlockScores,
@@ -30,6 +31,7 @@ from magcal_core.calibration.jacobians import (
 )
 from magcal_core.calibration.kernels import LOSSES, TUNING, accumulate, accumulate_blocks, residuals
 from magcal_core.calibration.linear_start import closed_form_starts
+from magcal_core.calibration.medians import median_size
 from magcal_core.calibration.minimise import Minimum
 from magcal_core.calibration.observability import (
     ENOUGH,
@@ -41,7 +43,7 @@ from magcal_core.calibration.observability import (
     taking_part,
 )
 from magcal_core.calibration.result import Parameters
-from magcal_core.calibration.weights import robust_sigma, weights_and_slopes
+from magcal_core.calibration.weights import GAUSSIAN_MAD, robust_sigma, weights_and_slopes
 from magcal_core.errors import NotObservableError
 
 Floats = NDArray[np.float64]
@@ -49,6 +51,8 @@ Floats = NDArray[np.float64]
 MIN_SAMPLES: Final = 10
 """Nine parameters and one residual: with fewer no error can be estimated."""
 _PLAIN: Final = -1.0
+_REACH: Final = 0.02
+"""How far from the scale before, relative to it, the next one is looked for first."""
 _ROUNDS: Final = 30
 _STILL: Final = 1e-7
 _STILL_ON_ALL: Final = 1e-4
@@ -61,6 +65,12 @@ class _Task:
 
     observations: Observations
     z: Standardised
+    floor: float = field(init=False)
+    """Length of the vector of observations, nT: what is below its rounding is taken for zero."""
+
+    def __post_init__(self) -> None:
+        b_nt = self.observations.b_nt
+        object.__setattr__(self, "floor", float(np.sqrt(np.dot(self.observations.weights * b_nt, b_nt))))
 
     @classmethod
     def of(cls, observations: Observations) -> _Task:
@@ -84,10 +94,6 @@ class _Task:
     @property
     def size(self) -> int:
         return 9 + 3 * len(self.z.names) + int(self.observations.rate_nt_s.shape[1])
-
-    @property
-    def floor(self) -> float:
-        return float(np.sqrt(np.sum(self.observations.weights * self.observations.b_nt**2)))
 
     def minimise(self, theta: Floats, loss: int = 0, bend: float = 1.0, sigma: float = _PLAIN) -> Minimum:
         o = self.observations
@@ -197,12 +203,11 @@ def require_observable(observations: Observations, theta: Floats, normal: Floats
     matrix, bias_nt, _ = rows_from_theta(theta, 0)
     if not np.isfinite(matrix).all():
         raise NotObservableError("no ellipsoid fits the readings: none of the parameters can be told", PARAMETER_NAMES)
-    x_nt = (observations.h_nt - bias_nt) @ lower.T
-    length = np.linalg.norm(x_nt, axis=1)
-    gain = np.linalg.norm((x_nt / length[:, None]) @ lower, axis=1)
-    used = observations.weights > 0
+    x_nt, used = correct(observations.h_nt, bias_nt, lower), observations.weights > 0
+    geometric_nt, none = np.empty(len(used)), np.zeros((len(used), 0))
+    residuals(observations.h_nt, observations.b_nt, none, none, theta[:9], 0.0, geometric_nt)
     dof = max(int(np.count_nonzero(used)) - 9, 1)
-    noise_nt = robust_sigma(((length - observations.b_nt) / gain)[used]) * np.sqrt((dof + 9) / dof)
+    noise_nt = robust_sigma(geometric_nt[used]) * np.sqrt((dof + 9) / dof)
     information = scalar_information(x_nt[used], matrix, noise_nt)
     if information.is_observable:
         return
@@ -220,8 +225,7 @@ def _plain(task: _Task, settings: FitSettings) -> _Solution:
     o = task.observations
     extra = np.zeros(task.size - 9)
     starts = [np.concatenate([start, extra]) for start in closed_form_starts(o.h_nt, o.b_nt, o.weights)]
-    costs = [float(np.sum(o.weights * task.residuals(start) ** 2)) for start in starts]
-    best = task.minimise(starts[int(np.argmin(costs))])
+    best = task.minimise(min(starts, key=lambda start: float(o.weights @ task.residuals(start) ** 2)))
     evaluations = best.evaluations
     if settings.start is not None:
         theta = theta_of_parameters(settings.start, task.z)
@@ -294,8 +298,10 @@ def _scale(task: _Task, solution: _Solution, is_white: bool, noise_nt: float | N
         sigma = noise_nt if noise_nt is not None else _noise(task, theta, solution, floor)
     if not solution.loss:
         return max(sigma, floor), sigma
-    used = task.observations.weights > 0
-    return robust_sigma(task.residuals(theta, sigma)[used], floor), sigma
+    r = task.residuals(theta, sigma)
+    before = solution.bend / (TUNING[solution.loss] * GAUSSIAN_MAD)
+    median = median_size(r, task.observations.weights, before, _REACH, np.empty_like(r))
+    return max(GAUSSIAN_MAD * float(median), floor), sigma
 
 
 def _iterated(task: _Task, solution: _Solution, is_white: bool, noise_nt: float | None, still: float) -> _Solution:
@@ -327,8 +333,7 @@ def fit_at(name: str, observations: Observations, theta: Floats, guide: Fit) -> 
     """Return the fit, with its formal covariance, at unknowns that another search found under ``guide``'s weights."""
     task = _Task.of(observations)
     loss, sigma = LOSSES[guide.robust], guide.noise_nt
-    bend = TUNING[loss] * guide.robust_scale_nt
-    o, p = observations, theta.size
+    bend, o, p = TUNING[loss] * guide.robust_scale_nt, observations, theta.size
     normal, gradient = np.empty((p, p)), np.empty(p)
     cost = accumulate(
         o.h_nt, o.b_nt, o.weights, task.z.columns, o.rate_nt_s, theta, loss, bend, sigma, False, normal, gradient
