@@ -39,12 +39,14 @@ def require_excitation(b_base_nt: Floats, weights: Floats) -> None:
     CoplanarFieldError
         The field vectors lie in a plane, through the origin or not.
     """
-    used = b_base_nt[weights > 0]
+    is_used = weights > 0
+    used = b_base_nt if is_used.all() else b_base_nt[is_used]
     if len(used) < MIN_SAMPLES:
         raise TooFewSamplesError(f"{len(used)} usable samples, the vector methods need at least {MIN_SAMPLES}")
-    size = float(np.sqrt(np.mean(np.sum(used**2, axis=1))))
+    size = float(np.sqrt(np.einsum("ij,ij->", used, used) / len(used)))
     centred = (used - used.mean(axis=0)) / size
-    spread = np.sqrt(np.mean(centred**2, axis=0))
+    moments = np.einsum("ij,ik->jk", centred, centred) / len(used)
+    spread = np.sqrt(np.diag(moments))
     for axis in range(3):
         if spread[axis] < MIN_SPREAD:
             raise NoExcitationError(
@@ -52,9 +54,9 @@ def require_excitation(b_base_nt: Floats, weights: Floats) -> None:
                 f"needed {MIN_SPREAD * size:.3g} nT",
                 _AXIS_PARAMETERS[axis],
             )
-    _, values, directions = np.linalg.svd(centred, full_matrices=False)
-    if values[2] / np.sqrt(len(used)) < MIN_SPREAD:
-        normal = directions[2] * (np.sign(directions[2][np.argmax(np.abs(directions[2]))]) or 1.0)
+    squares, directions = np.linalg.eigh(moments)
+    if squares[0] < MIN_SPREAD**2:
+        normal = directions[:, 0] * (np.sign(directions[np.argmax(np.abs(directions[:, 0])), 0]) or 1.0)
         shown = ", ".join(f"{x:.4f}" for x in normal)
         raise CoplanarFieldError(
             f"the field stays in a plane with the normal ({shown}) in the base frame: axis 3 cannot be told from "

@@ -20,6 +20,8 @@ from magcal_core.errors import NotObservableError
 Floats = NDArray[np.float64]
 
 _ROUNDS: Final = 100
+STILL: Final = 1e-9
+"""Movement of a residual, in units of the noise, that ends the iteration."""
 
 
 class Regression:
@@ -37,28 +39,35 @@ class Regression:
         Weighted sum of squares of the residuals.
     """
 
-    __slots__ = ("_columns", "_takes", "_targets", "centre", "coefficients", "residuals", "squares", "total")
+    __slots__ = ("_columns", "_largest", "_takes", "centre", "coefficients", "residuals", "squares", "total")
 
     def __init__(self, columns: Floats, targets: Floats, takes: NDArray[np.bool_], weights: Floats) -> None:
         """Prepare for ``columns``, shape (c, n), and ``targets``, shape (3, n); ``takes``: whose columns are whose."""
         c = len(columns)
-        self._columns, self._targets, self._takes = np.ascontiguousarray(columns), targets, takes
+        self._columns, self._takes = np.ascontiguousarray(columns), takes
         self.centre = self._columns @ weights / float(weights.sum())
         self.coefficients, self.residuals = np.zeros((3, c + 1)), np.array(targets, order="C")
+        self._largest = np.maximum(self.residuals.max(axis=1), -self.residuals.min(axis=1))
         self.total, self.squares = np.empty((room_for(c), room_for(c))), np.empty(3)
 
     @property
     def smallest(self) -> Floats:
         """Smallest standard deviation of each target that its rounding allows, shape (3,)."""
-        return np.asarray(np.maximum(1e-13 * np.abs(self._targets).max(axis=1), 1e-300))
+        return np.asarray(np.maximum(1e-13 * self._largest, 1e-300))
 
     @property
     def _floor(self) -> float:
-        return 1e-12 * float(np.abs(self._targets).max())
+        return 1e-12 * float(self._largest.max())
 
     @property
     def _state(self) -> tuple[Floats, Floats, Floats, Floats]:
         return self.coefficients, self.residuals, self.total, self.squares
+
+    def begin(self, slopes: Floats, constants: Floats) -> None:
+        """Go from zero to known coefficients: ``slopes``, shape (3, c), and ``constants``, shape (3,), about zero."""
+        self.coefficients[:, :-1], self.coefficients[:, -1] = slopes, constants + slopes @ self.centre
+        self.residuals -= slopes @ self._columns
+        self.residuals -= constants[:, None]
 
     def solve(self, weights: Floats) -> None:
         """Solve under fixed ``weights``, shape (n,).
@@ -71,8 +80,10 @@ class Regression:
         if not regress(self._columns, self.centre, self._takes, weights, *self._state):
             raise _undetermined()
 
-    def reweigh(self, prior: Floats, robust: str) -> tuple[Floats, int, bool]:
+    def reweigh(self, prior: Floats, robust: str, still: float = STILL) -> tuple[Floats, int, bool]:
         """Solve under a loss of the worst residual, from where it is; return weights, rounds and whether they ended.
+
+        ``still``: movement of a residual, in units of the noise, that ends it.
 
         Raises
         ------
@@ -81,7 +92,8 @@ class Regression:
         """
         weights = np.empty_like(prior)
         shape = (self._columns, self.centre, self._takes, prior)
-        rounds = regress_robustly(*shape, LOSSES[robust], self._floor, self.smallest, _ROUNDS, weights, *self._state)
+        least = (self._floor, self.smallest)
+        rounds = regress_robustly(*shape, LOSSES[robust], *least, _ROUNDS, still, weights, *self._state)
         if rounds == 0:
             raise _undetermined()
         return weights, abs(int(rounds)), bool(rounds > 0)

@@ -29,8 +29,6 @@ _GAUSSIAN_MAD: Final = 1.4826
 _SINGULAR: Final = 1e-15
 _REFINEMENTS: Final = 5
 _ROUNDING: Final = 1e-12
-_STILL: Final = 1e-9
-"""Movement of a residual, in units of the noise, that ends the iteration."""
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
@@ -191,6 +189,7 @@ def regress_robustly(  # noqa: PLR0917
     floor: float,
     smallest: Floats,
     rounds: int,
+    still: float,
     weights: Floats,
     coefficients: Floats,
     residuals: Floats,
@@ -200,8 +199,8 @@ def regress_robustly(  # noqa: PLR0917
     """Reweight and solve until the residuals stand still; return the rounds, negative if they are not enough.
 
     The last five arrays are those of `regress`, an estimate on entry and the robust one in the end, ``weights`` with
-    it. ``floor``: smallest robust scale; ``smallest``: least standard deviation of each target. 0 where the regressions
-    are not determined.
+    it. ``floor``: smallest robust scale; ``smallest``: least standard deviation of each target; ``still``: movement of
+    a residual, in units of the noise, that ends it. 0 where the regressions are not determined.
     """
     c, n = columns.shape
     change, scratch = np.empty_like(coefficients), np.empty(n)
@@ -231,7 +230,7 @@ def regress_robustly(  # noqa: PLR0917
             for j in range(c):
                 unknowns += takes[axis, j]
             noise = max(noise, math.sqrt(squares[axis] / max(count - unknowns, 1)), smallest[axis])
-        if moved <= _STILL * noise:
+        if moved <= still * noise:
             return done
     return -rounds
 

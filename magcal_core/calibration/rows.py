@@ -9,14 +9,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.calibration.fit import Observations, scaled_inverse
-from magcal_core.calibration.jacobians import Standardised
+from magcal_core.calibration.jacobians import (
+    Standardised,
+    parameters_from_rows,
+    rows_from_theta,
+    theta_of_parameters,
+)
 from magcal_core.calibration.regression import Regression
+from magcal_core.calibration.result import Parameters
 from magcal_core.calibration.weights import robust_sigma, shared_weight_slope
 from magcal_core.sensor import lower_triangular_gauge
 
 Floats = NDArray[np.float64]
 
 _WIDE: Final = (1, 2, 3)
+_NEXT_TO: Final = 1e-3
+_ALMOST_STILL: Final = 1e-6
+"""Movement of a residual, in units of the noise, at which a loss hands on to the next one, and a refit ends."""
 MISALIGNED_P: Final = 1e-6
 """Probability below which the lower-triangular hypothesis is given up."""
 MISALIGNED_DEG: Final = 0.1
@@ -78,16 +87,14 @@ def _rows(regression: Regression, b_nt: Floats, z: Floats, weights: Floats, wide
     """Return the rows that the regression has found under ``weights``, with their errors."""
     k = z.shape[1]
     count = int(np.count_nonzero(weights > 0))
-    found = regression.coefficients
-    bias = found[:, -1] - found[:, :-1] @ regression.centre
-    matrix, sigma, covariances = np.zeros((3, 3)), np.zeros(3), []
+    matrix, bias, slopes = _found(regression, k, wide)
+    sigma, covariances = np.zeros(3), []
     for axis, columns in enumerate(wide):
-        matrix[axis, :columns] = found[axis, :columns]
         noise = np.sqrt(regression.squares[axis] / max(count - columns - 1 - k, 1))
         sigma[axis] = max(noise, regression.smallest[axis])
         covariances.append(_covariance(regression, columns, k) * sigma[axis] ** 2)
     triple = (covariances[0], covariances[1], covariances[2])
-    residuals, slopes = np.ascontiguousarray(regression.residuals.T), np.ascontiguousarray(found[:, 3 : 3 + k].T)
+    residuals = np.ascontiguousarray(regression.residuals.T)
     return Rows(b_nt, z, matrix, bias, slopes, residuals, sigma, weights, triple)
 
 
@@ -132,11 +139,42 @@ def reweighted(  # noqa: PLR0917
     regression.solve(first)
     if robust == "none":
         return _rows(regression, b_nt, z, prior, _WIDE)
-    for name in dict.fromkeys(("soft_l1", robust) if near is None else (robust,)):
-        weights, rounds, is_converged = regression.reweigh(prior, name)
+    if near is None and robust != "soft_l1":
+        regression.reweigh(prior, "soft_l1", _NEXT_TO)
+    weights, rounds, is_converged = regression.reweigh(prior, robust)
     rows = _rows(regression, b_nt, z, weights, _WIDE)
     softening, share = _softening(rows, prior, robust, 1e-12 * float(np.abs(h_nt).max()))
     return replace(rows, softening=softening, softening_slope=share, rounds=rounds, is_converged=is_converged)
+
+
+def refitted(  # noqa: PLR0917
+    h_nt: Floats, b_nt: Floats, z: Standardised, weights: Floats, robust: str, near: Parameters
+) -> Parameters:
+    """Return the parameters of the rows alone, from ``near`` on, to a millionth of the noise.
+
+    Raises
+    ------
+    NotObservableError
+        A regressor is a combination of others, of the field and of a constant.
+    """
+    regression = _regression(h_nt, b_nt, z.columns, weights, _WIDE)
+    if robust == "none":
+        regression.solve(weights)
+    else:
+        lower = theta_of_parameters(near, z)
+        matrix, bias_nt, slopes_nt = rows_from_theta(lower, len(z.names))
+        regression.begin(np.concatenate([matrix, slopes_nt.T], axis=1), bias_nt)
+        regression.reweigh(weights, robust, _ALMOST_STILL)
+    matrix, bias_nt, slopes_nt = _found(regression, len(z.names), _WIDE)
+    return parameters_from_rows(matrix, bias_nt, slopes_nt, z)
+
+
+def _found(regression: Regression, k: int, wide: tuple[int, int, int]) -> tuple[Floats, Floats, Floats]:
+    """Return matrix, bias and slopes, shape (k, 3), that the regression has found."""
+    found, matrix = regression.coefficients, np.zeros((3, 3))
+    for axis, columns in enumerate(wide):
+        matrix[axis, :columns] = found[axis, :columns]
+    return matrix, found[:, -1] - found[:, :-1] @ regression.centre, np.ascontiguousarray(found[:, 3 : 3 + k].T)
 
 
 def _softening(rows: Rows, prior: Floats, robust: str, floor: float) -> tuple[float, float]:

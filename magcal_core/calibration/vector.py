@@ -23,7 +23,7 @@ from magcal_core.calibration.fit import (
 from magcal_core.calibration.jacobians import Standardised, parameters_from_rows, rows_jacobian
 from magcal_core.calibration.regression import block_sums
 from magcal_core.calibration.result import Parameters
-from magcal_core.calibration.rows import Rows, full_rows, reweighted
+from magcal_core.calibration.rows import Rows, full_rows, refitted, reweighted
 
 Floats = NDArray[np.float64]
 
@@ -89,11 +89,7 @@ class VectorFit:
         b_nt = observations.require_vector()
         require_excitation(b_nt, observations.weights)
         z = Standardised.of_weighed(observations.regressors, observations.weights)
-        # The same samples under other weights begin where all data ended.
-        is_same = len(near.weights) == len(observations)
-        first = np.where(observations.weights > 0, near.weights, 0.0) if is_same else None
-        rows = reweighted(observations.h_nt, b_nt, z.columns, observations.weights, near.robust, near=first)
-        return parameters_from_rows(rows.matrix, rows.bias_nt, rows.slopes_nt, z)
+        return refitted(observations.h_nt, b_nt, z, observations.weights, near.robust, near.parameters)
 
 
 def _with_clock(observations: Observations, z: Standardised, settings: FitSettings) -> tuple[Rows, Floats]:
