@@ -34,6 +34,8 @@ RESIDUAL: Final = Limits(0.05, 0.20)
 """RMS residual as a share of the mean field."""
 UNSEEN: Final = Limits(1.6, 4.0)
 """Cross-validated RMS over the RMS of the fit."""
+SCALE_FAR: Final = 2.5
+"""Factor between the mean scale factor and 1 from which the readings are hardly in the unit that was said."""
 REJECTED: Final = Limits(0.08, 0.25)
 """Share of the samples that were left out or lost their weight."""
 
@@ -152,5 +154,17 @@ def _circumstances(evidence: Evidence) -> _Found:
     if evidence.orbit_age_days > 3.0 and not evidence.has_time_offset:
         text = f"the orbit is {evidence.orbit_age_days:.1f} d from the data and its time offset was not looked for"
         found.append(("weak" if evidence.orbit_age_days <= 14.0 else "refuse", Reason("orbit_old", text)))
+    found += _scale_far(evidence)
     found += [("refuse", Reason("wrong_input_suspected", text)) for text in evidence.suspicions]
     return found
+
+
+def _scale_far(evidence: Evidence) -> _Found:
+    """Weaken where the readings are a multiple of the field that no unit explains: raw counts, or a gain unknown."""
+    mean = float(np.exp(np.mean(np.log(np.maximum(np.abs(evidence.parameters.scale), 1e-300)))))
+    if evidence.suspicions or 1.0 / SCALE_FAR <= mean <= SCALE_FAR:
+        return []
+    text = (
+        f"the readings are {mean:.3g} times the field, more than a factor {SCALE_FAR:g} off: raw counts, another unit?"
+    )
+    return [("weak", Reason("scale_far", text))]

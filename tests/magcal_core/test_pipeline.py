@@ -259,6 +259,15 @@ def test_a_constant_field_is_accepted(orbit):
     np.testing.assert_allclose(got.parameters.vector[:3], sensor.bias_nt, atol=4 * got.standard_errors.bias_nt.max())
 
 
+@pytest.mark.parametrize(
+    ("counts_per_nt", "said"), [(0.125, True), (0.164, True), (0.5, False), (1.6, False), (4.0, True)]
+)
+def test_raw_counts_are_told_by_the_scale_that_they_leave(nominal, counts_per_nt, said):
+    """Two usual counts a nT and a factor that no unit has: the numbers are sound, the verdict names what they scale."""
+    found = calibrate(replace(nominal, h_nt=nominal.h_nt * counts_per_nt)).verdict
+    assert (found.grade, found.reasons[0].code) == (("weak", "scale_far") if said else ("accept", "observable"))
+
+
 def test_a_vector_fit_of_permuted_axes_names_the_right_ones(orbit):
     samples = simulate(orbit, SensorModel([0, 0, 0], [1, 1, 1], [0, 0, 0]), orbit.epoch_utc, 6000, 10).samples
     with pytest.raises(FrameError, match=r"seem to be \(z, x, y\)"):
