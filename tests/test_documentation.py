@@ -89,3 +89,19 @@ def test_every_call_of_the_api_is_documented(tmp_path: Path) -> None:
     paths = create_app(Settings(data_dir=tmp_path), workers=0).openapi()["paths"]
     calls = {f"{method.upper()} {path.removeprefix('/api/v1')}" for path, calls in paths.items() for method in calls}
     assert calls == set(re.findall(r"^\| `((?:GET|POST|PUT|PATCH|DELETE) [^`]*)`", page("service.md"), re.MULTILINE))
+
+
+PROMISES = {"L": 10, "F": 24, "B": 26, "A": 14}
+
+
+def test_every_promise_of_the_reliability_page_has_a_figure_and_what_holds_it() -> None:
+    rows = re.findall(r"^\| ([LFBA]\d+) \|(.*)\|$", page("reliability.md"), re.MULTILINE)
+    assert [name for name, _ in rows] == [f"{kind}{n + 1}" for kind, last in PROMISES.items() for n in range(last)]
+    rooms = {path.stem for path in (DOCS.parent / "benchmarks").glob("*.py")}
+    for name, row in rows:
+        *cells, holders = row.split("|")
+        assert all(cell.strip() for cell in cells), name
+        named = re.findall(r"`([^`]+)`", holders)
+        assert named, name
+        missing = [one for one in named if one not in rooms and not (DOCS.parent / "tests" / one).exists()]
+        assert missing == [], name
