@@ -21,7 +21,7 @@ from typing import Final
 import procrastinate
 import structlog
 from procrastinate.exceptions import ConnectorException
-from sqlalchemy import TextClause, and_, column, make_url, or_, select, table, text
+from sqlalchemy import TextClause, and_, column, literal_column, make_url, or_, select, table, text
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
@@ -260,7 +260,8 @@ class ClusterWorkers:
     def _hand_out_again(self) -> None:
         """Enqueue anew the jobs that wait or lost their worker, and that procrastinate does not know any more."""
         is_known = select(handed_out.c.id).where(
-            handed_out.c.id == Job.queue_id, handed_out.c.status.in_([text("'todo'"), text("'doing'")])
+            handed_out.c.id == Job.queue_id,
+            handed_out.c.status.in_([literal_column("'todo'"), literal_column("'doing'")]),
         )
         is_lost = and_(Job.state == "running", Job.lease_until < DatabaseNow(-LOST_SIGHT_S))
         waits = and_(Job.state == "queued", Job.created_at < DatabaseNow(-60.0))

@@ -112,6 +112,25 @@ def test_a_transaction_that_loses_is_tried_three_times_more(site: Site, telemetr
         assert {one["id"] for one in api.get("/satellites").json()["items"]} == {"a", "b"}
 
 
+@pytest.mark.timeout(600)
+def test_jobs_that_the_queue_has_lost_sight_of_are_handed_out_again(site: Site, telemetry: bytes):
+    """F1: one that waits and one whose worker is gone, without the queue's rows; the sweep finds both."""
+    _, url = site.serve(workers=0)
+    with site.client(url) as api:
+        prepare(api)
+        session_id = upload(api, telemetry).json()["id"]
+        waits, lost = submit(api, session_id), submit(api, session_id)
+        with psycopg.connect(site.environment["MAGCAL_DATABASE_URL"], autocommit=True) as connection:
+            connection.execute("DELETE FROM procrastinate_jobs")
+            connection.execute("UPDATE job SET created_at = created_at - interval '2 minutes'")
+            taken = "UPDATE job SET state = 'running', attempts = 1, lease_until = now() - interval '1 minute'"
+            connection.execute(f"{taken} WHERE id = %s".encode(), (lost,))
+        worker = site.worker()
+        found = [wait_for(api, one, "succeeded", "failed", timeout_s=240) for one in (waits, lost)]
+    assert [(job["state"], job["attempts"]) for job in found] == [("succeeded", 1), ("succeeded", 2)]
+    assert not [one for one in site.log(worker) if one["event"] == "sweep_failed"]
+
+
 def test_of_many_that_make_the_same_thing_one_makes_it(site: Site):
     """F9: rows that two transactions make at once are a conflict of the second, not an error of the service."""
     urls = [site.serve(workers=0)[1], site.serve(workers=0)[1]]
