@@ -3,30 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
-from sqlalchemy import select
+from pydantic_core import from_json
+from sqlalchemy import Connection, Text, cast, func, select
 from sqlalchemy.orm import Session
+from sqlalchemy.sql.elements import ColumnElement
 
 from app.parameter_sets.tables import ParameterSet
 from app.records import SetSummary
 from app.schemas import utc_text
+
+SHOWN: Final = (
+    "verdict",
+    "field_model",
+    "orbit_model",
+    "parameters",
+    "standard_errors",
+    "formal_standard_errors",
+    "statistics",
+)
 
 
 def summaries(session: Session, set_ids: Sequence[str]) -> list[SetSummary]:
     """Return what a history shows of parameter sets, in the order of ``set_ids``.
 
     A record is mostly covariance, candidates and provenance: reading whole ones into objects takes five times as long.
+    What is shown comes as one text a record, which is read once.
     """
-    row_of, record = ParameterSet, ParameterSet.record
+    row_of = ParameterSet
     statement = select(
         *(row_of.id, row_of.magnetometer_id, row_of.status, row_of.method),
         *(row_of.data_from, row_of.data_until, row_of.created_at),
-        *(record[name].label(name) for name in ("verdict", "field_model", "orbit_model", "parameters", "statistics")),
-        *(record[name].label(name) for name in ("standard_errors", "formal_standard_errors")),
-        record["provenance"]["orbits"].label("orbits"),
+        _shown(session.connection()).label("shown"),
     ).where(row_of.id.in_(set_ids))
     found: dict[str, SetSummary] = {}
     for row in session.execute(statement):
+        *shown, orbits = from_json(row.shown)
+        verdict, field_model, orbit_model, parameters, standard_errors, formal_standard_errors, statistics = shown
         found[row.id] = {
             "id": row.id,
             "magnetometer": row.magnetometer_id,
@@ -35,13 +49,23 @@ def summaries(session: Session, set_ids: Sequence[str]) -> list[SetSummary]:
             "created_at": utc_text(row.created_at),
             "data_from": utc_text(row.data_from),
             "data_until": utc_text(row.data_until),
-            "verdict": row.verdict,
-            "field_model": row.field_model,
-            "orbit_model": row.orbit_model,
-            "parameters": row.parameters,
-            "standard_errors": row.standard_errors,
-            "formal_standard_errors": row.formal_standard_errors,
-            "statistics": row.statistics,
-            "provenance": {"orbits": row.orbits or []},
+            "verdict": verdict,
+            "field_model": field_model,
+            "orbit_model": orbit_model,
+            "parameters": parameters,
+            "standard_errors": standard_errors,
+            "formal_standard_errors": formal_standard_errors,
+            "statistics": statistics,
+            "provenance": {"orbits": orbits or []},
         }
     return [found[set_id] for set_id in set_ids]
+
+
+def _shown(connection: Connection) -> ColumnElement[str]:
+    """Return the text of a JSON array of what is `SHOWN` of a record, and its orbits."""
+    record = ParameterSet.record
+    if connection.dialect.name == "postgresql":
+        parts = (*(record[name] for name in SHOWN), record["provenance"]["orbits"])
+        return cast(func.jsonb_build_array(*parts), Text)
+    paths = (*(f"$.{name}" for name in SHOWN), "$.provenance.orbits")
+    return func.json_extract(cast(record, Text), *paths, type_=Text)
