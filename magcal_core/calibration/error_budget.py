@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magcal_core.calibration.corrections import lengths
 from magcal_core.calibration.fit import Floats
@@ -178,15 +179,19 @@ def _places(samples: Samples) -> tuple[Times, Floats, Floats] | None:
     t_utc, r_km = samples.t_utc, samples.r_itrf_km
     if not placed.all():
         t_utc, r_km = t_utc[placed], r_km[placed]
-    step = t_utc[2:] - t_utc[:-2]
-    middle = np.flatnonzero((step > np.timedelta64(0)) & (step <= _MOST_STEP)) + 1
-    middle = middle[:: max(1, len(middle) // _PLACES)]
+    before = np.flatnonzero(_is_close(t_utc[2:] - t_utc[:-2]))
+    middle = before[:: max(1, len(before) // _PLACES)] + 1
     if len(middle) < 2:
         return None
-    step_s = step[middle - 1] / np.timedelta64(1, "ns") * 1e-9
+    step_s = (t_utc[middle + 1] - t_utc[middle - 1]) / np.timedelta64(1, "ns") * 1e-9
     v_km_s = (r_km[middle + 1] - r_km[middle - 1]) / step_s[:, None]
     v_km_s += np.cross([0.0, 0.0, EARTH_ROTATION_RAD_S], r_km[middle])
     return t_utc[middle], r_km[middle], v_km_s
+
+
+def _is_close(step: NDArray[np.timedelta64]) -> NDArray[np.bool_]:
+    """Return which steps, shape (n,), are of time, but not none, and short enough to take a velocity over."""
+    return np.asarray((step > np.timedelta64(0)) & (step <= _MOST_STEP))
 
 
 def along_track_km(samples: Samples, source: ReferenceSource) -> tuple[float, str]:

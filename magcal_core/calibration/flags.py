@@ -32,8 +32,9 @@ def spikes(residuals: Floats) -> Mask:
     for row in size:
         scale = robust_sigma(row)
         if scale > 0:
-            away = np.abs(row - _running_median(row)) > SPIKE * scale
-            found |= away & (np.abs(row) > SPIKE * scale)
+            away = _running_median(row)
+            np.abs(np.subtract(row, away, out=away), out=away)
+            found |= (away > SPIKE * scale) & (np.abs(row) > SPIKE * scale)
     return found
 
 
@@ -46,7 +47,9 @@ def jumps(residuals: Floats) -> Mask:
     for row in size:
         windows = running_median(np.ascontiguousarray(row), _SIDE)
         step = np.zeros(row.size)
-        step[_SIDE : row.size - _SIDE + 1] = np.abs(windows[_SIDE:] - windows[:-_SIDE])
+        apart = np.subtract(windows[_SIDE:], windows[:-_SIDE], out=step[_SIDE : row.size - _SIDE + 1])
+        np.abs(apart, out=apart)
+        del windows
         noise = robust_sigma(np.diff(row)) / np.sqrt(2.0)
         limit = max(JUMP * float(np.median(step)), JUMP_NOISE * noise)
         if limit <= 0:

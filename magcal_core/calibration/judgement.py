@@ -78,13 +78,9 @@ def judgement_of(  # noqa: PLR0917
     errors = np.concatenate([errors, np.zeros(max(0, names - errors.size))])[:names]
     standard_errors = fit.parameters.with_vector(errors)
     before, after = statistics_of(observations, fit, estimator.is_vector)
-    # The clock stays where all data put it: one number, and the held-out reference is taken at it.
-    still = replace(observations, rate_nt_s=np.zeros((0, 0)), rate_base_nt_s=None)
-    held_out = held_out_residuals_nt(estimator, still, settings, fit)
-    unseen = None if held_out is None else rms_nt(held_out, fit.weights)
-    used = fit.weights > 0
+    unseen = _unseen_rms_nt(estimator, observations, settings, fit)
     observability, motion = observability_of(observations, fit, estimator.is_vector)
-    lost = circumstances.left_out + int(np.count_nonzero(~used))
+    lost = circumstances.left_out + int(np.count_nonzero(~(fit.weights > 0)))
     evidence = Evidence(
         index=observability.index,
         parameters=fit.parameters,
@@ -115,6 +111,14 @@ def judgement_of(  # noqa: PLR0917
         judge(evidence),
         motion_words(motion),
     )
+
+
+def _unseen_rms_nt(estimator: Estimator, observations: Observations, settings: FitSettings, fit: Fit) -> float | None:
+    """Return the RMS residual, nT, of blocks that a fit has not seen; None where the rest does not determine it."""
+    # The clock stays where all data put it: one number, and the held-out reference is taken at it.
+    still = replace(observations, rate_nt_s=np.zeros((0, 0)), rate_base_nt_s=None)
+    held_out = held_out_residuals_nt(estimator, still, settings, fit)
+    return None if held_out is None else rms_nt(held_out, fit.weights)
 
 
 def _with_reference(covariance: Floats, shifts: Sequence[ReferenceShift]) -> Floats:

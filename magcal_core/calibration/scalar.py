@@ -343,19 +343,19 @@ def fit_at(name: str, observations: Observations, theta: Floats, guide: Fit) -> 
 
 
 def _assemble(name: str, task: _Task, solution: _Solution) -> Fit:
-    minimum, k = solution.minimum, len(task.z.names)
+    minimum, k, prior = solution.minimum, len(task.z.names), task.observations.weights
     robust = next(key for key, number in LOSSES.items() if number == solution.loss)
     r = task.residuals(minimum.theta, solution.sigma)
-    prior = task.observations.weights
     dof = int(np.count_nonzero(prior > 0)) - task.size
     weight, slope = weights_and_slopes(r, robust, solution.bend / TUNING[solution.loss])
     # Variance of an M-estimate: mean psi^2 / (mean psi')^2 in place of the mean square.
-    softening = float(np.sum(prior * weight) / max(np.sum(prior * slope), 0.05 * np.sum(prior)))
-    sigma = float(np.sqrt(np.sum(prior * (weight * r) ** 2) / dof))
+    softening = float(prior @ weight) / max(float(prior @ slope), 0.05 * float(prior.sum()))
+    r *= weight
+    sigma = float(np.sqrt(np.einsum("i,i,i->", prior, r, r) / dof))
     own = _own_jacobian(task, minimum.theta)
     starts, scores, normals = _block_sums(task, solution)
     inverse = scaled_inverse(normals.sum(axis=0)) * softening
-    covariance = own @ inverse @ own.T * sigma**2 * softening / (np.sum(prior * weight) / np.sum(prior))
+    covariance = own @ inverse @ own.T * sigma**2 * softening / (prior @ weight / prior.sum())
     matrix, bias_nt, slopes_nt = rows_from_theta(minimum.theta, k)
     parameters = parameters_from_rows(matrix, bias_nt, slopes_nt, task.z)
     clock = minimum.theta[9 + 3 * k :]
