@@ -110,7 +110,10 @@ def rms_history(sets: Sequence[SetHistory], theme: Theme = LIGHT) -> Figure:
 
 
 def correlation_matrix(record: ParameterSetRecord, theme: Theme = LIGHT) -> Figure:
-    """Return the correlations of the parameters' honest covariance as a map with the numbers written in."""
+    """Return the correlations of the parameters' honest covariance as a map with the numbers written in.
+
+    Its colours are the inner ones of the scale, on which the ink can be read.
+    """
     covariance = np.nan_to_num(np.array(record["covariance"], dtype=np.float64))
     correlation = correlation_of(covariance)
     names = [short_name(name) for name in record["parameter_names"]]
@@ -121,7 +124,7 @@ def correlation_matrix(record: ParameterSetRecord, theme: Theme = LIGHT) -> Figu
         "z": np.round(correlation, 3),
         "zmin": -1.0,
         "zmax": 1.0,
-        "colorscale": [list(stop) for stop in theme.diverging],
+        "colorscale": [[2.0 * at - 0.5, colour] for at, colour in theme.diverging[1:4]],
         "colorbar": {"thickness": 12, "outlinewidth": 0},
         "hovertemplate": "%{y}, %{x}: %{z:.2f}<extra></extra>",
         "xgap": 1,
@@ -129,6 +132,7 @@ def correlation_matrix(record: ParameterSetRecord, theme: Theme = LIGHT) -> Figu
     }
     if len(names) <= 12:
         trace |= {"text": [[f"{value:.2f}" for value in row] for row in correlation], "texttemplate": "%{text}"}
+        trace["textfont"] = {"color": theme.ink}
     layout: Layout = {
         "height": 140 + 30 * max(len(names), 6),
         "xaxis": axis(theme, side="bottom", showgrid=False),

@@ -66,7 +66,7 @@ DARK: Final = Theme(
     model="#e6eaef",
     series=("#56b4e9", "#f0883e", "#2fc79a", "#e59cc4", "#e5c453", "#8fa8ff"),
     grades={"accept": "#3fc79a", "weak": "#e5b53a", "refuse": "#ff7b72"},
-    diverging=((0.0, "#6bb4f0"), (0.25, "#2c6ea8"), (0.5, "#30363d"), (0.75, "#c4611d"), (1.0, "#ffab70")),
+    diverging=((0.0, "#6bb4f0"), (0.25, "#2b6aa3"), (0.5, "#30363d"), (0.75, "#ab4f16"), (1.0, "#ffab70")),
     sequential=((0.0, "#1d3a6b"), (0.25, "#565f80"), (0.5, "#8c8a85"), (0.75, "#c8ba72"), (1.0, "#fee838")),
 )
 THEMES: Final[Mapping[str, Theme]] = {"light": LIGHT, "dark": DARK}

@@ -84,6 +84,8 @@ def _span_trace(spans: Sequence[InForce], grade: str, theme: Theme) -> Trace:
         "name": f"in force: {grade}",
         "text": [span.name for span in spans],
         "textposition": "inside",
+        "insidetextanchor": "middle",
+        "textfont": {"color": theme.surface},
         "hovertemplate": "%{text} from %{base}",
         "marker": {"color": theme.grades[grade], "line": {"color": theme.surface, "width": 2}},
         "showlegend": False,

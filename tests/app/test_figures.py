@@ -254,6 +254,8 @@ def test_text_is_readable_on_every_surface(theme: figures.Theme) -> None:
         assert contrast(colour, theme.surface) >= 4.5
     for colour in (theme.before, theme.after, theme.model):
         assert contrast(colour, theme.surface) >= 3.0
+    for _, colour in figures.correlation_matrix(parameter_set(0), theme).data[0].colorscale:
+        assert contrast(colour, theme.ink) >= 4.5
 
 
 @pytest.mark.parametrize("theme", figures.THEMES.values(), ids=figures.THEMES)

@@ -8,9 +8,9 @@ function create(again) {
   const place = h("div", { "aria-live": "polite" });
   const boxes = h("fieldset", {}, h("legend", {}, "Scopes"), SCOPES.map(([name, text]) =>
     h("label", {}, h("input", { type: "checkbox", name: `scope-${name}`, checked: name === "read" }), ` ${name}: ${text}`)));
-  const node = form([field("name", "Name", { placeholder: "ground station north" }), boxes,
+  const node = form([field("name", "Name", { placeholder: "ground station north" }),
     field("satellites", "Only for these satellites (comma)", { placeholder: "all" }),
-    field("expires_at", "Expires (UTC)", { type: "datetime-local" })], "Create key", async (values) => {
+    field("expires_at", "Expires (UTC)", { type: "datetime-local" }), boxes], "Create key", async (values) => {
     const body = { scopes: SCOPES.map(([name]) => name).filter((name) => values[`scope-${name}`]) };
     if (values.name) body.name = values.name;
     const satellites = values.satellites.split(",").map((one) => one.trim()).filter(Boolean);

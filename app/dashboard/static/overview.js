@@ -14,7 +14,7 @@ const COLUMNS = [
     ? h("a", { href: `/sessions/${r.last_session.id}` }, time(r.last_session.data_until)) : "–" },
   { name: "its residual under the active set", numeric: true, value: (r) => r.under_active, show: underActive },
   { name: "newest set", value: (r) => r.newest?.grade, show: (r) => r.newest && r.newest.id !== r.active?.id
-    ? h("a", { href: `/parameter-sets/${r.newest.id}` }, grade(r.newest.grade), ` ${r.newest.status}`) : "–" },
+    ? [h("a", { href: `/parameter-sets/${r.newest.id}` }, grade(r.newest.grade)), ` ${r.newest.status}`] : "–" },
   { name: "jobs", numeric: true, value: (r) => r.jobs_waiting, show: (r) => r.jobs_waiting ? h("a", { href: `/jobs` }, r.jobs_waiting) : "0" },
 ];
 

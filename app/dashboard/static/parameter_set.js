@@ -166,7 +166,7 @@ async function draw() {
       h("div", { class: "pair" }, figure("histogram", "Distribution", "Dashed: the normal distribution of the same mean and spread."),
         figure("autocorrelation", "Autocorrelation", "Outside the grey band residuals are not white, and formal errors are too small.")),
       h("div", { class: "pair" }, figure("sphere", "On the body sphere", "Residual by the direction of the field in the sensor's frame, equal area.", 400),
-        figure("map", "Over the Earth", "Residual by geocentric latitude and longitude of the satellite; lines: |B| of IGRF at its height, nT.", 420))),
+        figure("map", "Over the Earth", "Residual by geocentric latitude and longitude of the satellite; thin lines: |B| of IGRF at its height, nT.", 420))),
     section("Correlation", figure("correlation", "Correlation of the parameters", "From the honest covariance.", 410)),
     ablation(record),
     section("Pointing impact", pointing()),

@@ -97,7 +97,7 @@ function historyOf(magnetometer, hasSets) {
     plot(address("history"), "Bias, scale and angles over time", "Bars are one honest standard error; ● accept, ◆ weak, ✕ refuse; the line joins sets in order of their data.", 600),
     h("div", { class: "pair" },
       plot(address("residual"), "Residual over time", "Residual RMS of each set in its fit, marked by its verdict, and cross-validated.", 280),
-      plot(address("orbit-age"), "Age of the orbit", "Dotted lines: 3 days, from where on it is called old, and 14 days, from where on it is refused.", 280)),
+      plot(address("orbit-age"), "Age of the orbit", "Called old from 3 days on, refused from 14 days on: dotted, where the axis reaches that far.", 280)),
     plot(address("sessions"), "Sessions and activations", "Each session by the verdict of its newest set; bars show which set was in force.", 240),
   ] : [];
   magnetometer.addEventListener("change", () => {
@@ -141,7 +141,7 @@ start(async () => {
     session.set_id = newest?.id;
   }
   sessionsPlace.replaceChildren(sessionsPlace.firstChild, table(SESSION_COLUMNS, sessions, { caption: "Sessions", file: `${id}-sessions`,
-    empty: "No telemetry yet: drop a file above, or send it with magcal push." }));
+    empty: names.length ? "No telemetry yet: drop a file above, or send it with magcal push." : "No telemetry yet." }));
   setsPlace.replaceChildren(setsPlace.firstChild, table(SET_COLUMNS, sets, { caption: "Parameter sets", file: `${id}-parameter-sets`,
     empty: "No parameter set yet: open a session and start a calibration." }));
 });

@@ -50,7 +50,7 @@ export function table(columns, rows, { caption, file = "table", empty = "Nothing
     body.replaceChildren(...all.slice(0, most).map((row) => h("tr", { class: look(row) || null }, columns.map((column) =>
       h(column.heads ? "th" : "td", { scope: column.heads ? "row" : null, class: `${column.numeric ? "n" : ""}${column.strong ? " strong" : ""}` },
         (column.show ?? ((r) => text(column, r)))(row) ?? "–")))));
-    count.textContent = wanted ? `${all.length} of ${rows.length}` : `${rows.length}`;
+    count.textContent = wanted ? `${all.length} of ${rows.length} rows` : `${rows.length} ${rows.length === 1 ? "row" : "rows"}`;
     more.hidden = all.length <= most;
     more.textContent = `Show more (${all.length - most} hidden)`;
   }
