@@ -44,7 +44,7 @@ from app.settings import Settings
 from app.store import open_store
 
 API: Final = "/api/v1"
-ROOMS: Final = (satellites, orbits, sessions, jobs, parameter_sets, pointing, field, keys, displays)
+ROOMS: Final = (sessions, satellites, orbits, jobs, parameter_sets, pointing, field, keys, displays)
 STOP_GRACE_S: Final = 20.0
 
 log = structlog.get_logger()

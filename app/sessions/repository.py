@@ -37,21 +37,24 @@ NEW_SESSION: Final = {
     for name, insert in (("sqlite", sqlite.insert), ("postgresql", postgresql.insert))
 }
 NEW_CHUNK: Final = CHUNKS.insert()
+SATELLITES: Final = Satellite.metadata.tables["satellite"]
+MAGNETOMETERS: Final = Magnetometer.metadata.tables["magnetometer"]
 PLACE: Final = (
-    select(Satellite.id, Magnetometer, TelemetrySession.id)
-    .select_from(Satellite)
+    select(SATELLITES.c.id, SESSIONS.c.id, MAGNETOMETERS)
+    .select_from(SATELLITES)
     .outerjoin(
-        Magnetometer, and_(Magnetometer.satellite_id == Satellite.id, Magnetometer.id == bindparam("magnetometer_id"))
+        MAGNETOMETERS,
+        and_(MAGNETOMETERS.c.satellite_id == SATELLITES.c.id, MAGNETOMETERS.c.id == bindparam("magnetometer_id")),
     )
     .outerjoin(
-        TelemetrySession,
+        SESSIONS,
         and_(
-            TelemetrySession.satellite_id == Magnetometer.satellite_id,
-            TelemetrySession.magnetometer_id == Magnetometer.id,
-            TelemetrySession.sha256 == bindparam("sha256"),
+            SESSIONS.c.satellite_id == MAGNETOMETERS.c.satellite_id,
+            SESSIONS.c.magnetometer_id == MAGNETOMETERS.c.id,
+            SESSIONS.c.sha256 == bindparam("sha256"),
         ),
     )
-    .where(Satellite.id == bindparam("satellite_id"))
+    .where(SATELLITES.c.id == bindparam("satellite_id"))
 )
 """Satellite, magnetometer and session of certain bytes, as far as there are any: made once, asked in one go."""
 
@@ -192,12 +195,15 @@ class SessionRepository:
             There is no such satellite within the caller's reach, or it has no such magnetometer.
         """
         asked = {"satellite_id": satellite_id, "magnetometer_id": magnetometer_id, "sha256": sha256}
-        row = self.session.execute(PLACE, asked).first() if self.caller.reaches(satellite_id) else None
+        reaches = self.caller.reaches(satellite_id)
+        row = self.session.connection().execute(PLACE, asked).first() if reaches else None
         if row is None:
             raise NotFoundError("no such satellite")
-        if row[1] is None:
+        _, known, *values = row
+        magnetometer = Magnetometer(**dict(zip(MAGNETOMETERS.c.keys(), values, strict=True)))
+        if magnetometer.id is None:
             raise NotFoundError("the satellite has no such magnetometer")
-        return row[1], row[2]
+        return magnetometer, known
 
     def find_content(self, satellite_id: str, magnetometer_id: str, sha256: str) -> TelemetrySession | None:
         """Return the session that these bytes are already, if there is one."""
