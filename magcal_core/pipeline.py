@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Unpack
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from magcal_core.calibration.judgement import Circumstances, Judgement, extras_o
 from magcal_core.calibration.mounting import mounting_of
 from magcal_core.calibration.reference_errors import ReferenceShift, reference_shifts
 from magcal_core.calibration.regressors import Ablation, ablation_of, choose_regressors, usable_columns
+from magcal_core.calibration.residual_warnings import residual_warnings
 from magcal_core.calibration.result import Calibration, ResidualTable
 from magcal_core.calibration.steps import steps_of
 from magcal_core.calibration.suspicions import ClockFinding, Suspicion, suspicions
@@ -34,9 +35,6 @@ __all__ = ["CalibrationOptions", "calibrate"]
 
 Floats = NDArray[np.float64]
 Progress = Callable[[float], None]
-
-_OUTLIER: Final = 6.0
-"""Robust standard deviations beyond which a residual is an outlier worth a warning."""
 
 
 def calibrate(
@@ -323,20 +321,13 @@ def _warnings(referenced: Referenced, estimate: _Estimate, judgement: Judgement)
     found = [*referenced.report.warnings, *estimate.fit.warnings]
     if not estimate.estimator.is_vector:
         found.append("reflection_free: |B| alone cannot show an inverted axis, nor a rotation of the whole sensor")
-    if estimate.fit.status != "converged":
-        found.append("not_converged: the search ended before it converged")
-    if estimate.options.robust == "none":
-        size = (
-            np.abs(estimate.fit.residuals_nt)
-            if not estimate.estimator.is_vector
-            else np.abs(estimate.fit.residuals_nt).max(axis=1)
-        )
-        limit = _OUTLIER * 1.4826 * float(np.median(size))
-        count = int(np.count_nonzero(size > limit))
-        if limit > 0 and count > 0.002 * len(size):
-            found.append(
-                f"outliers: {count} residuals are beyond {limit:.0f} nT, six robust sigma; consider a robust loss"
-            )
+    found += residual_warnings(
+        estimate.fit,
+        estimate.settings,
+        estimate.observations.b_nt,
+        judgement.standard_errors,
+        is_vector=estimate.estimator.is_vector,
+    )
     clock = estimate.tried_clock
     if clock is not None and estimate.clock is None:
         found.append(
