@@ -29,7 +29,7 @@ from app.migrate import alembic_config, current, head, make_first_key, migrate, 
 from app.orbits.parsing import parse_message
 from app.orbits.repository import OrbitRepository
 from app.satellites.tables import Magnetometer, Satellite
-from app.sessions.repository import Parsed, SessionRepository
+from app.sessions.repository import Parsed, SessionRepository, Writing
 from app.sessions.upload import Upload
 from app.settings import Settings
 from app.store import digest, open_store
@@ -108,8 +108,9 @@ def fill(database: Database, settings: Settings) -> None:
         session.add(Magnetometer(satellite_id="dekart", id="m", unit="nT", created_at=utc_now()))
         session.flush()
         OrbitRepository(session, SYSTEM, "dekart").add(parse_message(tle_text().encode(), "text/plain"))
-        sessions = SessionRepository(session, SYSTEM)
-        row, _ = sessions.create("dekart", "m", Parsed.of(upload, telemetry, "csv", store), store, is_open=False)
+        sessions, writing = SessionRepository(session, SYSTEM), Writing()
+        row, _ = sessions.create("dekart", "m", Parsed.of(upload, telemetry, "csv", store), writing, is_open=False)
+        writing.write(session, store)
         queue = EmbeddedQueue() if database.is_sqlite else ClusterQueue(database)
         body = CalibrationBody(kind="calibration", session_ids=[row.id])
         jobs = [JobRepository(session, SYSTEM).submit(body, queue) for _ in range(3)]
