@@ -10,6 +10,7 @@ reported, the others go on, and the exit status tells. ``--write-docs`` writes t
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import json
 import os
@@ -44,9 +45,14 @@ def rooms() -> list[str]:
 
 
 def tell(room: str) -> None:
-    """Print each figure of a room as a line of JSON; this is what a room's process does."""
-    for figure in importlib.import_module(f"benchmarks.{room}").figures():
-        print(json.dumps(figure.to_dict()), flush=True)
+    """Print each figure of a room as a line of JSON; this is what a room's process does.
+
+    What the room prints itself, such as the log of a server in its process, goes to the standard error.
+    """
+    lines = sys.stdout
+    with contextlib.redirect_stdout(sys.stderr):
+        for figure in importlib.import_module(f"benchmarks.{room}").figures():
+            print(json.dumps(figure.to_dict()), file=lines, flush=True)
 
 
 def measured(room: str) -> Iterator[Figure]:

@@ -19,6 +19,7 @@ from scipy.stats import mannwhitneyu
 
 from app.database import Database
 from app.keys.repository import KeyRepository
+from app.logs import configure_logs
 from app.server import listen, prepare, server_of
 from app.settings import Settings
 from benchmarks.measure import Figure
@@ -28,7 +29,8 @@ ROOM = "access"
 
 @contextmanager
 def _service(folder: Path) -> Iterator[tuple[str, Database]]:
-    settings = Settings(data_dir=folder, workers=0, auth_failures_per_minute=10**9)
+    settings = Settings(data_dir=folder, workers=0, auth_failures_per_minute=10**9, log_level="warning")
+    configure_logs(settings)
     prepare(settings)
     listener, server = listen("127.0.0.1", 0), server_of(settings)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
