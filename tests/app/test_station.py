@@ -38,7 +38,10 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def watch(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Start `magcal push --watch` processes; what still runs at the end is asked to stop, and has to."""
+    """Start `magcal push --watch` processes; what still runs at the end is asked to stop, and has to.
+
+    One that has not begun to watch when it is asked ends by the signal.
+    """
     running = []
 
     def start(folder: Path, satellite: str, url: str, key: str) -> subprocess.Popen[str]:
@@ -54,11 +57,12 @@ def watch(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
         return process
 
     yield start
+    asked = [process for process in running if process.poll() is None]
+    for process in asked:
+        process.terminate()
     for process in running:
-        if process.poll() is None:
-            process.terminate()
-            assert process.wait(timeout=WAIT_S) == 0
-        process.communicate()
+        process.communicate(timeout=WAIT_S)
+    assert {process.returncode for process in asked} <= {0, -signal.SIGTERM}
 
 
 def push(folder: Path, satellite: str, url: str, key: str) -> subprocess.CompletedProcess[str]:
