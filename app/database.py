@@ -44,8 +44,10 @@ UNSYNCED: Final = frozenset({"SQLITE_IOERR_FSYNC", "SQLITE_IOERR_DIR_FSYNC"})
 """How SQLite tells of a sync that failed; PostgreSQL ends its server then, and recovers."""
 POSTGRES_OPTIONS: Final = (
     "-c timezone=UTC -c synchronous_commit=on -c statement_timeout=60000 -c lock_timeout=5000 "
-    "-c idle_in_transaction_session_timeout=120000"
+    "-c idle_in_transaction_session_timeout={idle_ms}"
 )
+LONGEST_IDLE_S: Final = 120
+"""PostgreSQL ends a transaction in which nothing was said for so long: a long body may be on its way into a bucket."""
 
 
 class UtcDateTime(TypeDecorator[datetime]):
@@ -118,12 +120,13 @@ class Database:
 
     On SQLite a writing transaction begins with ``BEGIN IMMEDIATE`` and the writers of a process queue for one lock,
     so that they wait in line rather than in SQLite's polling. After a failed sync the kernel may have dropped what was
-    written, so the process writes no more, rather than sync again as if nothing had happened.
+    written, so the process writes no more, rather than sync again as if nothing had happened. On PostgreSQL a process
+    that is paused within a transaction keeps its rows for ``longest_idle_s`` at most.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, *, longest_idle_s: int = LONGEST_IDLE_S) -> None:
         self.is_sqlite = not settings.is_postgres
-        self.engine = _sqlite_engine(settings) if self.is_sqlite else _postgres_engine(settings)
+        self.engine = _sqlite_engine(settings) if self.is_sqlite else _postgres_engine(settings, longest_idle_s)
         self._write_engine = self.engine.execution_options(**{WRITES: True})
         self._writer = threading.Lock()
         self._watcher = _watcher_of(settings) if self.is_sqlite else None
@@ -180,14 +183,15 @@ class Database:
             self._watcher.close()
 
 
-def _postgres_engine(settings: Settings) -> Engine:
+def _postgres_engine(settings: Settings, longest_idle_s: int) -> Engine:
+    options = POSTGRES_OPTIONS.format(idle_ms=1000 * longest_idle_s)
     return create_engine(
         settings.url,
         pool_pre_ping=True,
         pool_size=POOL_SIZE,
         max_overflow=POOL_SIZE,
         pool_timeout=5,
-        connect_args={"options": POSTGRES_OPTIONS, "connect_timeout": 5, "application_name": "magcal"},
+        connect_args={"options": options, "connect_timeout": 5, "application_name": "magcal"},
     )
 
 

@@ -16,6 +16,8 @@ from app.settings import Settings
 from app.store import open_store
 
 STOP_GRACE_S: Final = 20.0
+LONGEST_IDLE_S: Final = 30
+"""A worker that is paused within a transaction keeps its job's row for so long: another one waits for it."""
 
 log = structlog.get_logger()
 
@@ -26,7 +28,7 @@ def work(settings: Settings, concurrency: int) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: asked.set())
     configure_logs(settings)
-    database = Database(settings)
+    database = Database(settings, longest_idle_s=LONGEST_IDLE_S)
     upgrade(database, settings)
     engine = open_engine(database, open_store(settings), settings, concurrency)
     if engine.workers is not None:
