@@ -91,7 +91,7 @@ def running_median(values: Floats, width: int) -> Floats:  # pragma: no cover - 
     for start in range(1, out.size):
         # The window stays sorted: the value that enters takes the place of the one that leaves, and moves from there.
         value, leaving, j = values[start + width - 1], values[start - 1], 0
-        while window[j] != leaving:
+        while j < width - 1 and window[j] != leaving:
             j += 1
         while j > 0 and window[j - 1] > value:
             window[j] = window[j - 1]

@@ -1,4 +1,4 @@
-"""What is tried again and what is not, on SQLite's own locks (F9)."""
+"""What is tried again and what is not, on SQLite's own locks (F9), and what PostgreSQL ends (F2)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from contextlib import contextmanager
 
 import pytest
 from sqlalchemy import text
-from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import DBAPIError, OperationalError
 
 from app.database import Database
 from app.retry import AWAY, MOST_RETRIES, is_contention, outlasting, retried
@@ -103,3 +103,19 @@ def test_patience_ends_when_it_is_told_to(database):
 
     with pytest.raises(OperationalError):
         outlasting(away, 60.0, lambda _pause_s: True)
+
+
+@pytest.mark.postgres
+def test_what_is_paused_within_a_transaction_frees_its_rows(tmp_path, postgres_url):
+    """F2: a worker's transaction that says nothing for its longest silence, 1 s here, is ended by PostgreSQL."""
+    settings = Settings(data_dir=tmp_path, database_url=postgres_url)
+    paused, other = Database(settings, longest_idle_s=1), Database(settings)
+    with other.write() as session:
+        session.execute(text("CREATE TABLE thing (id INTEGER PRIMARY KEY)"))
+    assert insert(other, 1) == 1
+    with pytest.raises(DBAPIError), paused.write() as session:
+        session.execute(text("DELETE FROM thing WHERE id = 1"))
+        with other.write() as next_one:
+            assert next_one.execute(text("DELETE FROM thing WHERE id = 1")).rowcount == 1
+    paused.close()
+    other.close()

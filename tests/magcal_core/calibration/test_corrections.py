@@ -39,6 +39,15 @@ def test_running_medians_are_those_of_numpy(n, width):
         np.testing.assert_array_equal(got, np.median(np.lib.stride_tricks.sliding_window_view(values, width), axis=1))
 
 
+def test_a_running_median_ends_where_values_are_no_numbers():
+    """What the windows without one have for a median is not touched by those that come later."""
+    values = np.random.default_rng(1).normal(size=60)
+    values[40:45] = np.nan
+    got = running_median(values, 7)
+    windows = np.lib.stride_tricks.sliding_window_view(values[:40], 7)
+    np.testing.assert_array_equal(got[: len(windows)], np.median(windows, axis=1))
+
+
 def test_peaks_are_those_of_a_running_maximum():
     """Ties on either side included."""
     values = np.round(np.abs(np.random.default_rng(4).normal(size=500)), 1)
