@@ -6,7 +6,7 @@ import asyncio
 import hashlib
 import hmac
 import time
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -23,8 +23,7 @@ from starlette.concurrency import run_in_threadpool
 
 from app.database import Database, utc_now
 from app.errors import ScopeRequiredError, TooManyFailuresError, UnauthorizedError
-from app.keys.repository import KEY_FORM, Caller, KeyRepository, Scope, secret_hash
-from app.keys.tables import ApiKey
+from app.keys.repository import KEY_FORM, Caller, Holder, KeyRepository, Scope, secret_hash
 from app.oidc import Issuer
 
 LOGIN_COOKIE: Final = "magcal_login"
@@ -54,38 +53,41 @@ class FailureLimiter:
 
     def __init__(self, most: int) -> None:
         self._most = most
-        self._failures: OrderedDict[str, list[float]] = OrderedDict()
+        self._failures: OrderedDict[str, deque[float]] = OrderedDict()
         self._lock = Lock()
 
     def check(self, *suspects: str) -> None:
         """Raise `TooManyFailuresError` where a suspect has failed too often within the last minute."""
-        since = time.monotonic() - WINDOW_S
         with self._lock:
             for suspect in suspects:
-                recent = [at for at in self._failures.get(suspect, ()) if at > since]
-                if len(recent) >= self._most:
+                if len(self._recent(suspect)) >= self._most:
                     raise TooManyFailuresError("too many wrong keys; wait a minute")
 
     def note(self, *suspects: str) -> None:
         """Count a failure of each suspect."""
-        now = time.monotonic()
         with self._lock:
             for suspect in suspects:
-                recent = [at for at in self._failures.pop(suspect, ()) if at > now - WINDOW_S]
-                self._failures[suspect] = [*recent, now][-self._most :]
+                recent = self._recent(suspect)
+                recent.append(time.monotonic())
+                self._failures[suspect] = recent
+                self._failures.move_to_end(suspect)
             while len(self._failures) > MOST_SUSPECTS:
                 self._failures.popitem(last=False)
 
+    def _recent(self, suspect: str) -> deque[float]:
+        """Return when a suspect failed within the last minute."""
+        failures = self._failures.get(suspect) or deque(maxlen=self._most)
+        while failures and failures[0] <= time.monotonic() - WINDOW_S:
+            failures.popleft()
+        return failures
+
 
 @dataclass(frozen=True, slots=True)
-class _Holder:
-    """What a key stands for, as the database had it at ``seen_s`` of the monotonic clock."""
+class _Seen:
+    """What a key stands for, as the database had it at ``at_s`` of the monotonic clock."""
 
-    seen_s: float
-    key_id: str
-    scopes: frozenset[str]
-    satellites: frozenset[str] | None
-    expires_at: datetime | None
+    at_s: float
+    holder: Holder
 
 
 class RecentKeys:
@@ -95,48 +97,47 @@ class RecentKeys:
     """
 
     def __init__(self) -> None:
-        self._holders: OrderedDict[bytes, _Holder] = OrderedDict()
+        self._seen: OrderedDict[bytes, _Seen] = OrderedDict()
         self._turns: WeakValueDictionary[bytes, asyncio.Lock] = WeakValueDictionary()
 
     def turn(self, key: str) -> asyncio.Lock:
         """Return the lock under which the database is asked for ``key``."""
         return self._turns.setdefault(_mark(key), asyncio.Lock())
 
-    def find(self, key: str) -> _Holder | None:
+    def find(self, key: str) -> Holder | None:
         """Return what ``key`` stands for where it was right within `TRUSTED_S` and has not expired since."""
-        found = self._holders.get(_mark(key))
-        if found is None or time.monotonic() - found.seen_s > TRUSTED_S:
+        seen = self._seen.get(_mark(key))
+        if seen is None or time.monotonic() - seen.at_s > TRUSTED_S:
             return None
-        return found if found.expires_at is None or found.expires_at > utc_now() else None
+        return seen.holder if seen.holder.is_in_force(utc_now()) else None
 
-    def note(self, key: str, seen_s: float, row: ApiKey) -> None:
-        """Remember that the database was asked for ``key`` at ``seen_s`` and had it as ``row``."""
-        satellites = None if row.satellites is None else frozenset(row.satellites)
-        self._holders[_mark(key)] = _Holder(seen_s, row.id, frozenset(row.scopes), satellites, row.expires_at)
-        while len(self._holders) > MOST_RECENT:
-            self._holders.popitem(last=False)
+    def note(self, key: str, at_s: float, holder: Holder) -> None:
+        """Remember that the database was asked for ``key`` at ``at_s`` and had it as ``holder``."""
+        self._seen[_mark(key)] = _Seen(at_s, holder)
+        while len(self._seen) > MOST_RECENT:
+            self._seen.popitem(last=False)
+
+    def drop(self, key: str) -> None:
+        """Ask the database for ``key`` anew."""
+        self._seen.pop(_mark(key), None)
 
     def forget(self) -> None:
         """Ask the database for every key anew."""
-        self._holders.clear()
+        self._seen.clear()
 
 
 def _mark(key: str) -> bytes:
     return hashlib.sha256(key.encode()).digest()
 
 
-def verify_key(session: Session, key: str, now: datetime) -> ApiKey | None:
-    """Return the key's row where ``key`` is right and in force ``now``; takes the same time for every wrong one."""
+def verify_key(session: Session, key: str, now: datetime) -> Holder | None:
+    """Return who holds ``key`` where it is right and in force ``now``; takes the same time for every wrong one."""
     form = KEY_FORM.fullmatch(key)
-    row = KeyRepository(session).find(form[1]) if form else None
-    kept = DUMMY_HASH if row is None else row.secret_sha256
+    holder = KeyRepository(session).find(form[1]) if form else None
+    kept = DUMMY_HASH if holder is None else holder.secret_sha256
     given = secret_hash(form[2] if form else "no secret")
     is_right = hmac.compare_digest(kept, given)
-    return row if row is not None and is_right and _is_in_force(row, now) else None
-
-
-def _is_in_force(row: ApiKey, now: datetime) -> bool:
-    return row.revoked_at is None and (row.expires_at is None or row.expires_at > now)
+    return holder if holder is not None and is_right and holder.is_in_force(now) else None
 
 
 def is_same_origin(request: Request) -> bool:
@@ -150,7 +151,7 @@ def is_same_origin(request: Request) -> bool:
     return urlsplit(request.headers.get("origin", "")).netloc == request.headers.get("host", "-")
 
 
-def _verify_login(session: Session, request: Request, now: datetime) -> ApiKey | None:
+def _verify_login(session: Session, request: Request, now: datetime) -> Holder | None:
     """Return the key behind the login cookie; changes need the page's own origin, so that no other site can ask."""
     token = request.cookies.get(LOGIN_COOKIE)
     if token is None:
@@ -161,8 +162,8 @@ def _verify_login(session: Session, request: Request, now: datetime) -> ApiKey |
     login = keys.find_login(token)
     if login is None or login.expires_at <= now:
         return None
-    row = keys.find(login.key_id)
-    return row if row is not None and _is_in_force(row, now) else None
+    holder = keys.find(login.key_id)
+    return holder if holder is not None and holder.is_in_force(now) else None
 
 
 def authenticate(request: Request) -> Caller:
@@ -182,10 +183,10 @@ def authenticate(request: Request) -> Caller:
             raise
     with database.read() as session:
         if scheme.lower() == "bearer":
-            row = verify_key(session, key, clock.now())
+            holder = verify_key(session, key, clock.now())
         else:
-            row = None if scheme else _verify_login(session, request, clock.now())
-    if row is None:
+            holder = None if scheme else _verify_login(session, request, clock.now())
+    if holder is None:
         form = KEY_FORM.fullmatch(key)
         suspects = [f"address {address}", *([f"key {form[1]}"] if form else [])]
         if key:
@@ -194,9 +195,12 @@ def authenticate(request: Request) -> Caller:
         raise UnauthorizedError
     if scheme:
         recent: RecentKeys = request.app.state.recent
-        recent.note(key, asked_s, row)
-    satellites = None if row.satellites is None else frozenset(row.satellites)
-    return Caller(row.id, frozenset(row.scopes), satellites, address, request.state.request_id)
+        recent.note(key, asked_s, holder)
+    return _caller(holder, request)
+
+
+def _caller(holder: Holder, request: Request) -> Caller:
+    return Caller(holder.key_id, holder.scopes, holder.satellites, _address(request), request.state.request_id)
 
 
 async def identify(request: Request, _documented: Annotated[object, Depends(bearer)] = None) -> Caller:
@@ -211,7 +215,7 @@ async def identify(request: Request, _documented: Annotated[object, Depends(bear
                 return await run_in_threadpool(authenticate, request)
     if found is None:
         return await run_in_threadpool(authenticate, request)
-    return Caller(found.key_id, found.scopes, found.satellites, _address(request), request.state.request_id)
+    return _caller(found, request)
 
 
 def _address(request: Request) -> str:
@@ -227,12 +231,17 @@ def is_still_valid(request: Request) -> bool:
     return True
 
 
-def require(*scopes: Scope) -> Callable[[Caller], Coroutine[None, None, Caller]]:
-    """Return a dependency that lets only keys with one of ``scopes`` pass."""
+def require(*scopes: Scope) -> Callable[[Request, Caller], Coroutine[None, None, Caller]]:
+    """Return a dependency that lets only keys with one of ``scopes`` pass.
+
+    A key that is refused for its scope is not remembered, so that its refusal takes as long as that of a wrong one.
+    """
     names = " or ".join(scopes)
 
-    async def check(caller: Annotated[Caller, Depends(identify)]) -> Caller:
+    async def check(request: Request, caller: Annotated[Caller, Depends(identify)]) -> Caller:
         if not caller.may(*scopes):
+            recent: RecentKeys = request.app.state.recent
+            recent.drop(get_authorization_scheme_param(request.headers.get("authorization"))[1])
             raise ScopeRequiredError(f"the key needs the scope {names}")
         return caller
 

@@ -143,11 +143,11 @@ def log_in(
     except TooManyFailuresError as error:
         return _render("login.html", 429, title="Sign in", target=target, message=f"{error.message}.")
     with db.write() as session:
-        row = verify_key(session, key, request.app.state.clock.now())
+        holder = verify_key(session, key, request.app.state.clock.now())
         token = None
-        if row is not None:
-            caller = Caller(row.id, frozenset(row.scopes), address=address, request_id=request.state.request_id)
-            token = KeyRepository(session, caller).open_login(row.id, config.login_hours)
+        if holder is not None:
+            caller = Caller(holder.key_id, holder.scopes, address=address, request_id=request.state.request_id)
+            token = KeyRepository(session, caller).open_login(holder.key_id, config.login_hours)
     if token is None:
         limiter.note(*suspects)
         return _render("login.html", 403, title="Sign in", target=target, message=WRONG_KEY)

@@ -11,7 +11,7 @@ from datetime import datetime, timedelta
 from enum import StrEnum
 from typing import Final
 
-from sqlalchemy import func, select
+from sqlalchemy import bindparam, func, literal, select
 from sqlalchemy.orm import Session
 
 from app.database import new_id, utc_now
@@ -25,6 +25,12 @@ SECRET_BYTES: Final = 32
 LOGIN_LENGTH: Final = 43
 NEW_EVENT: Final = AuditEvent.metadata.tables["audit_event"].insert()
 """Without the mapper: every upload has its line of the trail."""
+KEYS: Final = ApiKey.metadata.tables["api_key"].c
+ANYTHING: Final = select(literal(1).label("one")).subquery()
+HOLDER: Final = select(
+    KEYS.id, KEYS.secret_sha256, KEYS.scopes, KEYS.satellites, KEYS.expires_at, KEYS.revoked_at
+).select_from(ANYTHING.outerjoin(ApiKey, KEYS.id == bindparam("key_id")))
+"""One row also where there is no such key: what it takes to make one would tell a wrong id from a wrong secret."""
 
 
 class Scope(StrEnum):
@@ -57,6 +63,22 @@ class Caller:
 
 SYSTEM: Final = Caller("system", frozenset({Scope.ADMIN}))
 """magcal itself: its workers and its command line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Holder:
+    """A key as the database has it: what it may do, where, and until when."""
+
+    key_id: str
+    secret_sha256: bytes
+    scopes: frozenset[str]
+    satellites: frozenset[str] | None
+    expires_at: datetime | None
+    revoked_at: datetime | None
+
+    def is_in_force(self, now: datetime) -> bool:
+        """Return whether the key is neither revoked nor expired."""
+        return self.revoked_at is None and (self.expires_at is None or self.expires_at > now)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,9 +142,14 @@ class KeyRepository:
         """Return whether there has never been a key."""
         return not self.session.scalar(select(func.count()).select_from(ApiKey))
 
-    def find(self, key_id: str) -> ApiKey | None:
-        """Return the key ``key_id``, if there is one."""
-        return self.session.get(ApiKey, key_id)
+    def find(self, key_id: str) -> Holder | None:
+        """Return the key ``key_id``, if there is one; it takes as long where there is none."""
+        row = self.session.connection().execute(HOLDER, {"key_id": key_id}).one()
+        satellites = None if row.satellites is None else frozenset(row.satellites)
+        found = Holder(
+            row.id, row.secret_sha256, frozenset(row.scopes or ()), satellites, row.expires_at, row.revoked_at
+        )
+        return None if row.id is None else found
 
     def open_login(self, key_id: str, hours: float) -> str:
         """Return the token of a new dashboard login with the key ``key_id``."""
