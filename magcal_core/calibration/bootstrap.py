@@ -1,8 +1,18 @@
-"""Bootstrap over contiguous blocks of time: standard errors without a formula, on demand."""
+"""Bootstrap over contiguous blocks of time: standard errors without a formula, on demand.
+
+Notes
+-----
+A replicate is the estimate from blocks drawn with replacement. Its place is one Newton step away from the fit to all
+data, -N^-1 s with normal matrix N and score s summed over the blocks drawn, and those sums are known of every block: no
+replicate needs the samples [ANDREWS]_. Where that is not enough shows farthest out, so replicates are refitted to the
+samples from there inwards, until a few in a row agree with their steps.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +22,10 @@ from magcal_core.calibration.result import Parameters
 from magcal_core.errors import EstimationError
 
 Floats = NDArray[np.float64]
+
+_SAME: Final = 0.1
+"""Difference between step and refit, in standard errors of the parameter, up to which they agree."""
+_IN_A_ROW: Final = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,27 +62,68 @@ def bootstrap(  # noqa: PLR0917
 ) -> Bootstrap:
     """Return the scatter of ``replicates`` fits to blocks of ``block_samples`` samples drawn with replacement.
 
-    A sample's weight is the number of times that its block was drawn; blocks wrap around the ends, so that every sample
-    has the same chance. The clock stays where ``near``, the fit to all data, has it.
+    Blocks are whole ones of the scores of ``near``, the fit to all data, as many in a row as make ``block_samples``,
+    and wrap around the ends, so that every sample has the same chance. The clock stays where ``near`` has it.
     """
-    n = len(observations)
-    random = np.random.default_rng(seed)
+    n, cells = len(observations), len(near.blocks.starts)
+    in_a_row = max(1, round(block_samples * cells / n))
+    counts = _drawn(cells, in_a_row, replicates, np.random.default_rng(seed))
+    lengths = np.diff([*near.blocks.starts, n])
+    at = replace(near.parameters, time_offset_s=None)
     still = replace(observations, rate_nt_s=np.zeros((0, 0)), rate_base_nt_s=None)
-    drawn = max(1, round(n / block_samples))
-    estimates, failed = [], 0
-    for _ in range(replicates):
-        starts = random.integers(0, n, drawn)
-        at = (starts[:, None] + np.arange(block_samples)) % n
-        counts = np.bincount(at.ravel(), minlength=n).astype(np.float64)
-        try:
-            resampled = replace(still, weights=observations.weights * counts)
-            estimates.append(estimator.refit(resampled, settings, near))
-        except EstimationError:
-            failed += 1
-    if not estimates:
+
+    def refit(replicate: int) -> Floats:
+        weights = observations.weights * np.repeat(counts[replicate], lengths)
+        return estimator.refit(replace(still, weights=weights), settings, near).vector - at.vector
+
+    moves, failed = _settled(_steps(near, counts, estimator.is_vector), refit)
+    if failed == replicates:
         raise EstimationError(f"bootstrap: none of {replicates} replicates determines the parameters")
-    values = np.array([one.vector for one in estimates])
-    shape = estimates[0].with_vector
+    values = at.vector + moves
     errors = values.std(axis=0, ddof=1) if len(values) > 1 else np.full(values.shape[1], np.nan)
     low, high = np.quantile(values, [0.025, 0.975], axis=0)
-    return Bootstrap(replicates, failed, block_samples, shape(errors), shape(low), shape(high))
+    block = max(1, round(n * in_a_row / cells))
+    return Bootstrap(replicates, failed, block, at.with_vector(errors), at.with_vector(low), at.with_vector(high))
+
+
+def _settled(moves: Floats, refit: Callable[[int], Floats]) -> tuple[Floats, int]:
+    """Return the moves of the replicates, shape (m, p), refitted from the farthest inwards, and how many have none."""
+    low, high = np.quantile(moves, [0.16, 0.84], axis=0)
+    spread = np.maximum(0.5 * (high - low), 1e-300)
+    settled, failed, agreed = moves.copy(), [], 0
+    for i in np.argsort(-np.max(np.abs(moves) / spread, axis=1), kind="stable").tolist():
+        if agreed == _IN_A_ROW:
+            break
+        try:
+            settled[i] = refit(i)
+        except EstimationError:
+            failed.append(i)
+            continue
+        agreed = agreed + 1 if np.max(np.abs(settled[i] - moves[i]) / spread) <= _SAME else 0
+    return np.delete(settled, failed, axis=0), len(failed)
+
+
+def _drawn(cells: int, in_a_row: int, replicates: int, random: np.random.Generator) -> Floats:
+    """Return how often each of ``cells`` was drawn, shape (replicates, cells), so many ``in_a_row`` at a time."""
+    first = random.integers(0, cells, (replicates, max(1, round(cells / in_a_row))))
+    at = (first[:, :, None] + np.arange(in_a_row)) % cells
+    return np.stack([np.bincount(one.ravel(), minlength=cells) for one in at]).astype(np.float64)
+
+
+def _steps(near: Fit, counts: Floats, is_vector: bool) -> Floats:
+    """Return how far one step leads in the parameters where blocks weigh ``counts``, shape (replicates, p).
+
+    NaN where the blocks of some replicate do not determine it: then none is believed without a refit.
+
+    A vector fit's scores have the derivative of the model in them, a scalar one's that of the residual: hence the sign.
+    """
+    blocks, clock = near.blocks, near.clock.size
+    q = blocks.scores.shape[1] - clock
+    normals = np.tensordot(counts, blocks.normals[:, :q, :q], 1)
+    scores = counts @ blocks.scores[:, :q]
+    size = np.sqrt(np.maximum(np.diagonal(normals, axis1=1, axis2=2), 1e-300))
+    try:
+        steps = np.linalg.solve(normals / (size[:, :, None] * size[:, None, :]), (scores / size)[:, :, None])[:, :, 0]
+    except np.linalg.LinAlgError:
+        steps = np.full_like(scores, np.nan)
+    return np.asarray((1.0 if is_vector else -1.0) * (steps / size) @ blocks.to_parameters[: -clock or None, :q].T)
