@@ -29,7 +29,7 @@ GAIN: Final = 0.02
 ENOUGH: Final = 0.95
 """Share of the usable samples that a column must have a value for."""
 _TRIED: Final = 3
-"""Candidates that are refitted before the selection ends."""
+"""Candidates that are refitted before the selection ends: the best one, and others that promise half of `GAIN`."""
 _SAME: Final = 0.999
 """Correlation of two columns above which they say the same."""
 _MOST: Final = 50_000
@@ -96,7 +96,7 @@ def choose_regressors(estimator: Estimator, observations: Observations, settings
     rows, names = [row], list(observations.regressors)
     while held_out is not None and len(row.regressors) < MAX_TERMS:
         ranked = _ranked(estimator, observations, fit, row.regressors, names)
-        for name in ranked[:_TRIED]:
+        for name in ranked:
             tried, tried_fit, tried_held_out = _trial(estimator, observations, settings, (*row.regressors, name))
             rows.append(tried)
             if tried_held_out is not None and _is_better(observations, fit, held_out, tried_held_out):
@@ -129,7 +129,7 @@ def _is_better(observations: Observations, fit: Fit, held_out: Floats, tried: Fl
 def _ranked(
     estimator: Estimator, observations: Observations, fit: Fit, chosen: tuple[str, ...], names: Sequence[str]
 ) -> list[str]:
-    """Return the candidates, the most promising first."""
+    """Return the candidates to refit, the most promising first."""
     step = max(1, len(observations) // _MOST)
     thinned = observations.take(slice(None, None, step))
     candidates = [name for name in names if name not in chosen and not _repeats(thinned, name, chosen)]
@@ -146,7 +146,9 @@ def _ranked(
     for i, name in enumerate(candidates):
         take = np.array([*range(known), *range(known + 3 * i, known + 3 * i + 3)])
         scores[name] = _predicted(folds, take)
-    return sorted(candidates, key=lambda name: scores[name])
+    enough = (1.0 - GAIN / 2.0) ** 2 * _predicted(folds, np.arange(known))
+    ranked = sorted(candidates, key=lambda name: scores[name])
+    return [ranked[0], *(name for name in ranked[1:_TRIED] if scores[name] < enough)]
 
 
 def _repeats(observations: Observations, name: str, chosen: Sequence[str]) -> bool:

@@ -55,11 +55,13 @@ def test_auto_takes_the_temperature_and_nothing_else(warm, method):
 
 
 def test_auto_takes_nothing_where_there_is_nothing(mission):
+    """Of six columns that say nothing one is refitted, to be sure: none of the others promises anything."""
     rng = np.random.default_rng(2)
     samples = replace(mission().samples, housekeeping={f"c{i}": np.cumsum(rng.normal(size=700)) for i in range(6)})
     got = calibrate(samples, regressors="auto")
     assert not got.parameters.regressors
     assert got.parameters.vector.size == 9
+    assert [len(row["regressors"]) for row in got.to_dict()["ablation"]] == [0, 1]
 
 
 def test_columns_with_gaps_and_constant_columns_are_no_candidates(warm):
