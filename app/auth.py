@@ -203,7 +203,7 @@ def _caller(holder: Holder, request: Request) -> Caller:
     return Caller(holder.key_id, holder.scopes, holder.satellites, _address(request), request.state.request_id)
 
 
-async def identify(request: Request, _documented: Annotated[object, Depends(bearer)] = None) -> Caller:
+async def identify(request: Request) -> Caller:
     """Return the caller that the request's key stands for, as the database had it `TRUSTED_S` ago at the earliest."""
     recent: RecentKeys = request.app.state.recent
     scheme, key = get_authorization_scheme_param(request.headers.get("authorization"))
@@ -231,14 +231,15 @@ def is_still_valid(request: Request) -> bool:
     return True
 
 
-def require(*scopes: Scope) -> Callable[[Request, Caller], Coroutine[None, None, Caller]]:
+def require(*scopes: Scope) -> Callable[[Request, object], Coroutine[None, None, Caller]]:
     """Return a dependency that lets only keys with one of ``scopes`` pass.
 
     A key that is refused for its scope is not remembered, so that its refusal takes as long as that of a wrong one.
     """
     names = " or ".join(scopes)
 
-    async def check(request: Request, caller: Annotated[Caller, Depends(identify)]) -> Caller:
+    async def check(request: Request, _documented: Annotated[object, Depends(bearer)]) -> Caller:
+        caller = await identify(request)
         if not caller.may(*scopes):
             recent: RecentKeys = request.app.state.recent
             recent.drop(get_authorization_scheme_param(request.headers.get("authorization"))[1])

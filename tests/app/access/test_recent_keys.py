@@ -38,3 +38,16 @@ def test_the_right_half_of_a_known_key_buys_nothing(new_service):
     with service.client(made) as reader, service.client(made[:-1] + ("A" if made[-1] != "A" else "B")) as guessing:
         assert reader.get("/satellites").status_code == 200
         assert guessing.get("/satellites").status_code == 401
+
+
+def test_a_key_that_is_refused_for_its_scope_is_looked_up_each_time_as_a_wrong_one_is(new_service):
+    """Else its refusal would be the quicker one (A7): revoked behind the service's back, it is refused at once."""
+    service = new_service()
+    made = service.key("ingest")
+    with service.client(made) as station:
+        assert station.get("/satellites").status_code == 403
+        with service.database.engine.begin() as connection:
+            connection.exec_driver_sql(
+                "UPDATE api_key SET revoked_at = '2020-01-01 00:00:00.000000' WHERE id = ?", (made.split("_")[1],)
+            )
+        assert station.get("/satellites").status_code == 401
