@@ -2,78 +2,94 @@
 
 Each case takes ``MAGCAL_BENCH_LOAD_S`` seconds (default 10), the soak ``MAGCAL_BENCH_SOAK_S`` (default 120). The
 clients share the machine's cores with the server. What was acknowledged is looked for in the database afterwards,
-byte for byte, so that "lost" is a figure and not a hope.
+byte for byte, so that "lost" is a figure and not a hope. L1 and L2 are measured three times: with one server over the
+embedded database, with one over PostgreSQL, and with the clients spread over two servers of one PostgreSQL.
 """
 
 from __future__ import annotations
 
 import asyncio
-import hashlib
-import itertools
 import os
 import statistics
 import time
-from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-from sqlalchemy import select
-
-from app.database import Database
-from app.demo.mission import tle_text
-from app.sessions.tables import Chunk
-from app.settings import Settings
-from app.store import open_store, raw_key
+from benchmarks.clients import PATH, Bodies, Seen, ask, lost_of, p99_of, prepare_load, together
 from benchmarks.measure import Figure
-from benchmarks.service import LeanClient, Service, length_of, request_of, scratch, service
+from benchmarks.service import LeanClient, Service, cpu_s_of, postgres, request_of, scratch, service
 from magcal_core.telemetry import read_telemetry, write_samples
 
 ROOM: Final = "load"
 CASE_S: Final = float(os.environ.get("MAGCAL_BENCH_LOAD_S", "10"))
 SOAK_S: Final = float(os.environ.get("MAGCAL_BENCH_SOAK_S", "120"))
-PATH: Final = "/satellites/load/sessions?magnetometer=mgm"
-NUMBERS: Final = itertools.count()
 POLLERS: Final = 50
-RETRY_AFTER_S: Final = 1.0
-"""What refusals say, and clients do."""
 LIMITS: Final = {"MIN_FREE_MB": "0", "MAX_UPLOADS_PER_KEY": "64", "MAX_UPLOAD_MB": "200", "MAX_ROWS": "3000000"}
 
 
-@dataclass(slots=True)
-class Seen:
-    """What clients saw: durations of accepted and of refused requests, s, and what was acknowledged."""
+@dataclass(frozen=True, slots=True)
+class Case:
+    """Many clients with bodies of one size, and what their uploads should reach."""
 
-    accepted_s: list[float] = field(default_factory=list)
-    refused_s: list[float] = field(default_factory=list)
-    statuses: Counter[int] = field(default_factory=Counter)
-    resets: int = 0
-    unexplained: int = 0
-    sha256: list[str] = field(default_factory=list)
-    size_bytes: int = 0
+    name: str
+    clients: int
+    size_bytes: int
+    rate_aim: float
+    p99_aim: float | None
 
-    def note(self, status: int, head: bytes, body: bytes, took_s: float) -> None:
-        """Note one answer to the upload of ``body``."""
-        self.statuses[status] += 1
-        if status in {200, 201}:
-            self.accepted_s.append(took_s)
-            self.sha256.append(hashlib.sha256(body).hexdigest())
-            self.size_bytes += len(body)
-            return
-        self.refused_s.append(took_s)
-        self.unexplained += int(status not in {429, 503} or b"retry-after" not in head.lower())
+    @property
+    def what(self) -> str:
+        """The case as the figures name it."""
+        return f"{self.name} {self.clients} clients, {self.size_bytes / 1e3:.0f} kB"
+
+
+SHORT: Final = Case("L1", 32, 10_000, 200.0, 0.75)
+MIDDLE: Final = Case("L2", 32, 1_000_000, 120.0, 1.0)
+LONG: Final = Case("L3", 16, 10_000_000, 8.5, None)
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """Servers over one database; ``where`` is what the figures say of them."""
+
+    folder: Path
+    services: Sequence[Service]
+    database_url: str | None = None
+    where: str = ""
+
+    def servers_cpu_s(self) -> float:
+        """Return the processor time of the servers, s."""
+        return sum(one.process.cpu_s() for one in self.services)
+
+    def database_cpu_s(self) -> float:
+        """Return the processor time of the database's own processes, s; none where it is embedded."""
+        if self.database_url is None:
+            return 0.0
+        return sum(cpu_s_of([int((self.folder / "pg" / "postmaster.pid").read_text().split()[0])]))
+
+    def rss_mib(self) -> float:
+        """Return the servers' resident memory, MiB."""
+        return sum(one.process.rss_mib() for one in self.services)
+
+    def kept(self, what: str, seen: Seen) -> Figure:
+        """Return how much of what was acknowledged is lost."""
+        lost = lost_of(self.folder, seen.sha256, self.database_url)
+        return Figure(ROOM, f"{what}, acknowledged and lost", lost, f"of {len(seen.sha256)}", "0", lost == 0)
 
 
 def figures() -> Iterator[Figure]:
     """Yield the figures of this room."""
     with scratch() as folder, service(folder, "--workers", "0", **LIMITS) as running:
         prepare_load(running)
-        yield from _sizes(running, folder)
-        yield from _crowds(running, folder)
-        yield from _polling(running, folder)
-        yield from _soak(running, folder)
+        site = Site(folder, [running])
+        for case in (SHORT, MIDDLE, LONG):
+            yield from _sizes(site, case)
+        yield from _crowds(site)
+        yield from _polling(running, site)
+        yield from _soak(running, site)
+    yield from _on_postgres()
     with scratch() as folder, service(folder, "--workers", "1", **LIMITS) as running:
         prepare_load(running)
         yield from _long_session(running)
@@ -82,123 +98,50 @@ def figures() -> Iterator[Figure]:
         yield from asyncio.run(_slow(running))
 
 
-def prepare_load(running: Service) -> None:
-    with running.client() as api:
-        api.post("/satellites", json={"id": "load"}).raise_for_status()
-        api.post("/satellites/load/magnetometers", json={"id": "mgm", "unit": "nT"}).raise_for_status()
-        plain = {"Content-Type": "text/plain"}
-        api.post("/satellites/load/orbits", content=tle_text(), headers=plain).raise_for_status()
+def _on_postgres() -> Iterator[Figure]:
+    """Yield L1 and L2 with one server and with two over one PostgreSQL."""
+    with scratch() as folder, postgres(folder) as url:
+        options = ("--workers", "0")
+        with (
+            service(folder, *options, DATABASE_URL=url, **LIMITS) as first,
+            service(folder, *options, DATABASE_URL=url, **LIMITS) as second,
+        ):
+            prepare_load(first)
+            one = Site(folder, [first], url, ", PostgreSQL")
+            two = Site(folder, [first, second], url, ", two servers over PostgreSQL")
+            for case in (SHORT, MIDDLE):
+                yield from _sizes(one, case)
+                yield from _sizes(two, case)
 
 
-class Bodies:
-    """Telemetry of about one size, no two bodies alike."""
-
-    def __init__(self, size_bytes: int) -> None:
-        rows = max(2, size_bytes // 48)
-        t_utc = np.datetime_as_string(
-            np.datetime64("2022-02-19T22:37:44.130", "ms") + 100 * np.arange(rows), unit="ms", timezone="UTC"
-        )
-        turns = np.outer(np.arange(rows), [0.0131, 0.0127, 0.0113])
-        h_nt = 30_000.0 * np.sin(turns)
-        lines = (f"{t},{x:.3f},{y:.3f},{z:.3f}\n" for t, (x, y, z) in zip(t_utc, h_nt, strict=True))
-        self._body = "".join(["time,bx,by,bz\n", *lines]).encode()
-
-    def next(self) -> bytes:
-        """Return another body: the same samples with a reading of its own."""
-        number = next(NUMBERS)
-        own = f"2022-02-19T22:37:40.000Z,{10_000 + number % 20_000},{number // 20_000}.5,30000\n"
-        return self._body + own.encode()
-
-
-async def _ask(
-    connection: tuple[asyncio.StreamReader, asyncio.StreamWriter], request: bytes
-) -> tuple[int, bytes, bytes]:
-    reader, writer = connection
-    writer.write(request)
-    await writer.drain()
-    head = await reader.readuntil(b"\r\n\r\n")
-    status = int(head[9:12])
-    return status, head, await reader.readexactly(length_of(head))
+def _sizes(site: Site, case: Case) -> Iterator[Figure]:
+    """Yield L1, L2 or L3: the rate, and the p99 or the growth of memory."""
+    bodies, what = Bodies(case.size_bytes), case.what + site.where
+    asyncio.run(together(site.services, case.clients, bodies, 1.0))
+    rss_mib, begun = site.rss_mib(), time.perf_counter()
+    before = site.servers_cpu_s(), site.database_cpu_s(), time.process_time()
+    seen = asyncio.run(together(site.services, case.clients, bodies, CASE_S))
+    rate, count = len(seen.accepted_s) / (time.perf_counter() - begun), max(1, len(seen.accepted_s))
+    after = site.servers_cpu_s(), site.database_cpu_s(), time.process_time()
+    server_ms, database_ms, client_ms = (1e3 * (now - then) / count for now, then in zip(after, before, strict=True))
+    note = f"each {server_ms:.1f} ms of the server's processor, {client_ms:.1f} ms of the clients'"
+    note += f", {database_ms:.1f} ms of the database's" if site.database_url else ""
+    yield Figure(
+        ROOM, what, rate, "1/s", f">= {case.rate_aim:g}", rate >= case.rate_aim, f"{note}; {dict(seen.statuses)}"
+    )
+    if case.p99_aim is not None:
+        p99 = p99_of(seen.accepted_s)
+        yield Figure(ROOM, f"{what}, p99", p99, "s", f"<= {case.p99_aim:g}", p99 <= case.p99_aim)
+    else:
+        growth = site.rss_mib() - rss_mib
+        yield Figure(ROOM, f"{what}, growth of memory", growth, "MiB", "<= 64", growth <= 64)
+    yield site.kept(what, seen)
 
 
-async def _uploading(running: Service, bodies: Bodies, seen: Seen, until: float, pause_s: float = 0.0) -> None:
-    """Upload one body after the other on one connection, which is opened anew where the server has closed it."""
-    connection = None
-    while time.monotonic() < until:
-        body = bodies.next()
-        request = request_of("POST", PATH, running.key, {"Content-Type": "text/csv"}, body)
-        begun = time.perf_counter()
-        try:
-            connection = connection or await asyncio.open_connection("127.0.0.1", running.port)
-            status, head, _ = await _ask(connection, request)
-        except (ConnectionError, asyncio.IncompleteReadError):
-            seen.resets += 1
-            connection = None
-            continue
-        seen.note(status, head, body, time.perf_counter() - begun)
-        if b"connection: close" in head.lower():
-            connection[1].close()
-            connection = None
-        await asyncio.sleep(pause_s if status in {200, 201} else RETRY_AFTER_S)
-    if connection is not None:
-        connection[1].close()
-
-
-async def together(running: Service, clients: int, bodies: Bodies, duration_s: float, pause_s: float = 0.0) -> Seen:
-    seen, until = Seen(), time.monotonic() + duration_s
-    await asyncio.gather(*(_uploading(running, bodies, seen, until, pause_s) for _ in range(clients)))
-    return seen
-
-
-def _lost(folder: Path, sha256: Sequence[str]) -> int:
-    """Return how many acknowledged bodies the store does not give back, byte for byte."""
-    settings = Settings(data_dir=folder / "data")
-    database, store, lost = Database(settings), open_store(settings), 0
-    for one in sha256:
-        with database.read() as session:
-            known = session.scalar(select(Chunk.sha256).where(Chunk.sha256 == one).limit(1))
-            content = b"" if known is None else store.get(session, raw_key("load", one), one)
-        lost += int(hashlib.sha256(content).hexdigest() != one)
-    database.close()
-    return lost
-
-
-def p99_of(durations_s: Sequence[float]) -> float:
-    return float(np.quantile(durations_s, 0.99)) if durations_s else float("nan")
-
-
-def _sizes(running: Service, folder: Path) -> Iterator[Figure]:
-    """Yield L1 to L3: uploads of 10 kB, 1 MB and 10 MB by many clients."""
-    cases = (("L1", 32, 10_000, 200.0, 0.75), ("L2", 32, 1_000_000, 120.0, 1.0), ("L3", 16, 10_000_000, 8.5, None))
-    for name, clients, size, rate_aim, p99_aim in cases:
-        bodies = Bodies(size)
-        asyncio.run(together(running, clients, bodies, 1.0))
-        rss = running.process.rss_mib()
-        begun, cpu_s = time.perf_counter(), running.process.cpu_s()
-        seen = asyncio.run(together(running, clients, bodies, CASE_S))
-        elapsed_s, cpu_s = time.perf_counter() - begun, running.process.cpu_s() - cpu_s
-        count = max(1, len(seen.accepted_s))
-        rate, what = len(seen.accepted_s) / elapsed_s, f"{name} {clients} clients, {size / 1e3:.0f} kB"
-        note = f"{1e3 * cpu_s / count:.1f} ms of the server's processor each; {dict(seen.statuses)}"
-        yield Figure(ROOM, what, rate, "1/s", f">= {rate_aim:g}", rate >= rate_aim, note)
-        if p99_aim is not None:
-            p99 = p99_of(seen.accepted_s)
-            yield Figure(ROOM, f"{what}, p99", p99, "s", f"<= {p99_aim:g}", p99 <= p99_aim)
-        else:
-            growth = running.process.rss_mib() - rss
-            yield Figure(ROOM, f"{what}, growth of memory", growth, "MiB", "<= 64", growth <= 64)
-        yield _kept(what, folder, seen)
-
-
-def _kept(what: str, folder: Path, seen: Seen) -> Figure:
-    lost = _lost(folder, seen.sha256)
-    return Figure(ROOM, f"{what}, acknowledged and lost", lost, f"of {len(seen.sha256)}", "0", lost == 0)
-
-
-def _crowds(running: Service, folder: Path) -> Iterator[Figure]:
+def _crowds(site: Site) -> Iterator[Figure]:
     """Yield L4: 200, then 1000 clients at once."""
     for clients in (200, 1000):
-        seen = asyncio.run(together(running, clients, Bodies(10_000), CASE_S))
+        seen = asyncio.run(together(site.services, clients, Bodies(10_000), CASE_S))
         what, odd = f"L4 {clients} clients at once", seen.resets + seen.unexplained
         note = f"{dict(seen.statuses)}, {seen.resets} resets"
         yield Figure(ROOM, f"{what}: resets, and refusals without Retry-After", odd, "", "0", odd == 0, note)
@@ -207,7 +150,7 @@ def _crowds(running: Service, folder: Path) -> Iterator[Figure]:
         refused = statistics.median(seen.refused_s) if seen.refused_s else 0.0
         note = f"p99 {p99_of(seen.refused_s):.2f} s, of {len(seen.refused_s)}"
         yield Figure(ROOM, f"{what}: refused, median", refused, "s", "<= 0.1", refused <= 0.1, note)
-        yield _kept(what, folder, seen)
+        yield site.kept(what, seen)
 
 
 async def _polled(port: int, poll: bytes, upload: bytes) -> tuple[list[float], bytes, float]:
@@ -224,7 +167,7 @@ async def _polled(port: int, poll: bytes, upload: bytes) -> tuple[list[float], b
         due = begun + number / POLLERS
         while not done.is_set():
             await asyncio.sleep(max(0.0, due - time.perf_counter()))
-            await _ask(connection, poll)
+            await ask(connection, poll)
             durations.append(time.perf_counter() - due)
             due += 1.0
         connection[1].close()
@@ -241,7 +184,7 @@ async def _polled(port: int, poll: bytes, upload: bytes) -> tuple[list[float], b
     return durations, head, took_s
 
 
-def _polling(running: Service, folder: Path) -> Iterator[Figure]:
+def _polling(running: Service, site: Site) -> Iterator[Figure]:
     """Yield L5: 50 clients that poll while 100 MiB arrive."""
     with running.client() as api:
         session = api.get("/sessions?limit=1").json()["items"][0]["id"]
@@ -253,7 +196,7 @@ def _polling(running: Service, folder: Path) -> Iterator[Figure]:
     p99, what = p99_of(durations), "L5 status while 100 MiB arrive"
     note = f"{len(durations)} polls; the upload took {sum(seen.accepted_s):.1f} s: {dict(seen.statuses)}"
     yield Figure(ROOM, f"{what}, p99", 1e3 * p99, "ms", "<= 100", p99 <= 0.1, note)
-    yield _kept(what, folder, seen)
+    yield site.kept(what, seen)
 
 
 def _long_session(running: Service) -> Iterator[Figure]:
@@ -272,20 +215,20 @@ def _long_session(running: Service) -> Iterator[Figure]:
         yield Figure(ROOM, f"{what}: memory", peak, "MiB", "<= 600", peak <= 600)
 
 
-def _soak(running: Service, folder: Path) -> Iterator[Figure]:
+def _soak(running: Service, site: Site) -> Iterator[Figure]:
     """Yield L9: a third of L1's rate for a while; memory, descriptors and the write-ahead log stay flat."""
     bodies, clients = Bodies(10_000), 8
-    asyncio.run(together(running, clients, bodies, SOAK_S / 4, clients / 67))
+    asyncio.run(together([running], clients, bodies, SOAK_S / 4, clients / 67))
     rss, files = running.process.rss_mib(), running.process.descriptors()
-    seen = asyncio.run(together(running, clients, bodies, SOAK_S * 3 / 4, clients / 67))
+    seen = asyncio.run(together([running], clients, bodies, SOAK_S * 3 / 4, clients / 67))
     what, drift = f"L9 soak of {SOAK_S:g} s", 100 * (running.process.rss_mib() / rss - 1)
     note = f"{len(seen.accepted_s)} uploads, {dict(seen.statuses)}, {seen.resets} resets"
     yield Figure(ROOM, f"{what}: drift of memory", drift, "%", "<= 2", drift <= 2, note)
     leaked = running.process.descriptors() - files
     yield Figure(ROOM, f"{what}: further descriptors", leaked, "", "<= 2", abs(leaked) <= 2)
-    log_mib = (folder / "data" / "magcal.db-wal").stat().st_size / 2**20
+    log_mib = (site.folder / "data" / "magcal.db-wal").stat().st_size / 2**20
     yield Figure(ROOM, f"{what}: write-ahead log", log_mib, "MiB", "<= 256", log_mib <= 256)
-    yield _kept(what, folder, seen)
+    yield site.kept(what, seen)
 
 
 async def _slow(running: Service) -> list[Figure]:

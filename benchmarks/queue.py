@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import statistics
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +30,7 @@ from app.satellites.tables import Satellite
 from app.settings import Settings
 from app.store import open_store
 from benchmarks.measure import Figure
-from benchmarks.service import TICKS, postgres, process, scratch
+from benchmarks.service import cpu_s_of, postgres, process, scratch
 
 ROOM: Final = "queue"
 JOBS: Final = int(os.environ.get("MAGCAL_BENCH_JOBS", "400"))
@@ -95,30 +95,13 @@ def _throughput(settings: Settings, folder: Path, count: int, workers: int, conc
         pids = [running.enter_context(process(folder, environment, *command)).pid for _ in range(workers)]
         _submit(database, settings, WARM_UP * workers * int(concurrency))
         _wait(database)
-        before = _cpu_s(pids)
+        before = cpu_s_of(pids)
         ids = _submit(database, settings, count)
         _wait(database)
-        worker_ms, child_ms = (1e3 * (now - then) / count for now, then in zip(_cpu_s(pids), before, strict=True))
+        worker_ms, child_ms = (1e3 * (now - then) / count for now, then in zip(cpu_s_of(pids), before, strict=True))
     rate = _rate(database, ids)
     database.close()
     return Throughput(rate, worker_ms, child_ms)
-
-
-def _cpu_s(pids: Sequence[int]) -> tuple[float, float]:
-    """Return the processor time of processes and of those below them, s."""
-    own, family = {}, {}
-    for entry in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = entry.read_text().rpartition(")")[2].split()
-        except (FileNotFoundError, ProcessLookupError):
-            continue  # it ended meanwhile
-        own[int(entry.parent.name)] = sum(map(int, fields[11:13])) / TICKS
-        family[int(entry.parent.name)] = int(fields[1])
-    below, reached = set(pids), 0
-    while len(below) > reached:
-        reached = len(below)
-        below |= {pid for pid, parent in family.items() if parent in below}
-    return sum(own[pid] for pid in pids), sum(own[pid] for pid in below.difference(pids))
 
 
 def _submit(database: Database, settings: Settings, count: int) -> list[str]:

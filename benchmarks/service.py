@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -68,6 +68,23 @@ class Running:
                 break
             time.sleep(0.05)
         raise RuntimeError(f"no event {name}: {self.log.read_text()[-2000:]}")
+
+
+def cpu_s_of(pids: Sequence[int]) -> tuple[float, float]:
+    """Return the processor time of processes and of those below them, s."""
+    own, family = {}, {}
+    for entry in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = entry.read_text().rpartition(")")[2].split()
+        except (FileNotFoundError, ProcessLookupError):
+            continue  # it ended meanwhile
+        own[int(entry.parent.name)] = sum(map(int, fields[11:13])) / TICKS
+        family[int(entry.parent.name)] = int(fields[1])
+    below, reached = set(pids), 0
+    while len(below) > reached:
+        reached = len(below)
+        below |= {pid for pid, parent in family.items() if parent in below}
+    return sum(own[pid] for pid in pids), sum(own[pid] for pid in below.difference(pids))
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from benchmarks.load import Bodies, Seen, p99_of, prepare_load, together
+from benchmarks.clients import Bodies, Seen, p99_of, prepare_load, together
 from benchmarks.measure import Figure
 from benchmarks.service import LeanClient, Service, request_of, scratch, service
 
@@ -66,7 +66,7 @@ def _turn(loud: Service, quiet: Service, clients: int) -> tuple[Seen, list[float
     with ThreadPoolExecutor(1) as pool:
         until = time.monotonic() + TURN_S
         sending = pool.submit(_quietly, quiet, until)
-        seen = asyncio.run(together(loud, clients, Bodies(10_000), TURN_S))
+        seen = asyncio.run(together([loud], clients, Bodies(10_000), TURN_S))
         return seen, sending.result()
 
 
