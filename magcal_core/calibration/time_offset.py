@@ -4,12 +4,15 @@ Notes
 -----
 A TLE that is some weeks off is wrong mostly along track, which is an error of time. The offset tau is what must be
 added to the telemetry's clock. The reference at t + tau + delta is B(t + tau) + delta dB/dt: delta is one more unknown
-of the fit, and the reference is computed anew until it vanishes.
+of the fit, and the reference is computed anew until it vanishes. Where the residuals show slow waves of the bias, these
+are unknowns of the search as well, lest they pass for an offset; the parameters are then those of the plain fit at the
+clock that was found.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -18,7 +21,9 @@ from numpy.typing import NDArray
 
 from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations
 from magcal_core.calibration.observability import ENOUGH
+from magcal_core.calibration.slow_waves import slow_waves, wave_columns
 from magcal_core.calibration.uncertainty import HonestCovariance, covered_s, honest_covariance
+from magcal_core.errors import NotObservableError
 
 Floats = NDArray[np.float64]
 
@@ -46,7 +51,8 @@ At = Callable[[Floats, slice], Observations]
 class ClockFit:
     """A fit with its clock: offset and, where asked for, drift, each with its standard error, of ``honest``.
 
-    ``p_value``: probability of an offset so large where there is none.
+    ``p_value``: probability of an offset so large where there is none. ``wave_periods_s``: periods, s, of the waves of
+    the bias that were unknowns beside it.
     """
 
     fit: Fit
@@ -58,6 +64,7 @@ class ClockFit:
     drift_error_s_per_day: float | None
     p_value: float
     is_converged: bool
+    wave_periods_s: tuple[float, ...] = ()
 
     @property
     def is_significant(self) -> bool:
@@ -86,6 +93,7 @@ class ClockFit:
             "p_value": self.p_value,
             "is_significant": self.is_significant,
             "detectable_s": self.detectable_s,
+            "wave_periods_s": list(self.wave_periods_s),
         }
 
 
@@ -97,27 +105,32 @@ def fit_with_clock(
     Notes
     -----
     Gauss-Newton steps of the clock, each a fit that begins at the one before. Of very many samples some are searched
-    first: what is left of the way is then within the reach of one expansion of the reference.
+    first: what is left of the way is then within the reach of one expansion of the reference. A clock that is known is
+    searched among waves of the bias once more, where there are any.
     """
-    from scipy.special import ndtr
-
     shapes = _shapes(unmoved.t_s, has_drift)
     search = _Search(estimator, at, settings, shapes, slice(None))
-    some = slice(None, None, max(1, len(unmoved) // ENOUGH))
-    if len(unmoved) >= 2 * ENOUGH:
-        few = _Search(estimator, at, settings, np.ascontiguousarray(shapes[:, some]), some)
-        rough = few.run(unmoved.take(some), np.zeros(len(shapes)), None)
-        found = search.run(unmoved, rough.clock, rough.fit) if rough.is_converged else search.fixed(rough.clock)
-    else:
-        found = search.run(unmoved, np.zeros(len(shapes)), None)
-    observations, fit, clock = found.observations, found.fit, found.clock
-    honest = honest_covariance(fit.blocks, fit.covariance, len(observations), covered_s(observations.t_s))
+    found = search.begin(unmoved, np.zeros(len(shapes)))
+    periods_s = slow_waves(found.observations, found.fit) if found.is_converged else ()
+    if periods_s:
+        # Samples that determine a sensor may not determine one whose bias waves.
+        with suppress(NotObservableError):
+            return _clock_fit(*_beside_waves(search, unmoved, found, periods_s), periods_s)
+    return _clock_fit(found, _honest(found.fit, found.observations), ())
+
+
+def _clock_fit(found: _Found, honest: HonestCovariance, periods_s: tuple[float, ...]) -> ClockFit:
+    """Return what was ``found``, with the test of its offset."""
+    from scipy.special import ndtr
+
+    clock = found.clock
     errors = np.sqrt(np.diag(honest.covariance))[-len(clock) :]
     score = abs(clock[0]) / max(errors[0], 1e-300)
-    fit = replace(fit, parameters=replace(fit.parameters, time_offset_s=float(clock[0])))
+    fit = replace(found.fit, parameters=replace(found.fit.parameters, time_offset_s=float(clock[0])))
+    has_drift = len(clock) > 1
     return ClockFit(
         fit=fit,
-        observations=observations,
+        observations=found.observations,
         honest=honest,
         offset_s=float(clock[0]),
         offset_error_s=float(errors[0]),
@@ -125,7 +138,51 @@ def fit_with_clock(
         drift_error_s_per_day=float(errors[1] * 86400.0) if has_drift else None,
         p_value=float(2.0 * ndtr(-score)),
         is_converged=found.is_converged,
+        wave_periods_s=periods_s,
     )
+
+
+def _honest(fit: Fit, observations: Observations) -> HonestCovariance:
+    return honest_covariance(fit.blocks, fit.covariance, len(observations), covered_s(observations.t_s))
+
+
+def _beside_waves(
+    search: _Search, unmoved: Observations, plain: _Found, periods_s: tuple[float, ...]
+) -> tuple[_Found, HonestCovariance]:
+    """Return the clock that is found with waves of the bias beside it, the plain fit there, and its covariance.
+
+    The plain fit's parameters move with the clock, and so its covariance is what it has at a known clock and what the
+    clock's own adds to it.
+    """
+    columns = wave_columns(unmoved.t_s, periods_s)
+
+    def with_waves(shift_s: Floats, rows: slice) -> Observations:
+        here = search.at(shift_s, rows)
+        return replace(here, regressors={**here.regressors, **{name: one[rows] for name, one in columns.items()}})
+
+    waving = replace(search, at=with_waves)
+    found = waving.begin(replace(unmoved, regressors={**unmoved.regressors, **columns}), plain.clock)
+    m = len(found.clock)
+    clock_covariance = _honest(found.fit, found.observations).covariance[-m:, -m:]
+    here = search.at(found.clock @ search.shapes, search.rows)
+    fit = search.estimator.fit(here, search.settings)
+    near = replace(search.settings, near=fit)
+    moves = []
+    for shape in search.shapes:
+        step = _RATE_STEP_S / float(np.abs(shape).max())
+        ends = [search.at((found.clock @ search.shapes) + sign * step * shape, search.rows) for sign in (1.0, -1.0)]
+        later, sooner = (search.estimator.fit(end, near).parameters.vector for end in ends)
+        moves.append((later - sooner) / (2.0 * step))
+    known = _honest(fit, here)
+    return replace(found, observations=here, fit=fit), replace(
+        known, covariance=_carried(known.covariance, np.column_stack(moves), clock_covariance)
+    )
+
+
+def _carried(known: Floats, moves: Floats, clock: Floats) -> Floats:
+    """Return the covariance of parameters and clock from the former's at a known clock, and their ``moves`` with it."""
+    across = moves @ clock
+    return np.block([[known + across @ moves.T, across], [across.T, clock]])
 
 
 def _shapes(t_s: Floats, has_drift: bool) -> Floats:
@@ -153,6 +210,15 @@ class _Search:
     settings: FitSettings
     shapes: Floats
     rows: slice
+
+    def begin(self, unmoved: Observations, clock: Floats) -> _Found:
+        """Return the fit whose clock stands still, from ``clock``; of very many samples, some are searched first."""
+        if len(unmoved) < 2 * ENOUGH:
+            return self.run(unmoved, clock, None)
+        some = slice(None, None, max(1, len(unmoved) // ENOUGH))
+        few = replace(self, shapes=np.ascontiguousarray(self.shapes[:, some]), rows=some)
+        rough = few.run(unmoved.take(some), clock, None)
+        return self.run(unmoved, rough.clock, rough.fit) if rough.is_converged else self.fixed(rough.clock)
 
     def run(self, unmoved: Observations, clock: Floats, near: Fit | None) -> _Found:
         """Return the fit whose clock stands still, from ``clock``; ``near``: a fit with nearly that clock, if any."""

@@ -1,0 +1,176 @@
+"""Slow waves of the bias that the residuals of a fit show: beside them, what an offset of the clock does is seen.
+
+Notes
+-----
+Heat and currents change with the orbit, and so does the field: a bias that swings once per orbit is nearly what a clock
+that is off does to |B|. To the fit such a wave is an error with a long memory, whose honest interval is several times
+wider than need be; named as an unknown, it is none. Frequencies from half a wave a session on are tried, the best one
+is taken as long as it shows, and each is sought between the steps as well. What goes on showing after some waves has no
+period: a memory without one is left to the honest errors, since waves would take of it only what they were chosen for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_core.calibration.fit import Fit, Observations, readings_without
+from magcal_core.sensor import inverse_lower, matrix_of_parameters
+
+Floats = NDArray[np.float64]
+
+SHORTEST_S: Final = 1800.0
+"""Shortest period that is tried, s: a third of a low orbit."""
+CHANCE: Final = 1e-3
+"""Probability with which white noise shows a wave, over all frequencies."""
+MOST_WAVES: Final = 3
+"""Waves beyond which the residuals are of another kind."""
+_STEP_CYCLES: Final = 0.5
+"""Step between the frequencies that are tried, in waves a session: nearer ones are the same to it."""
+_BETWEEN_CYCLES: Final = (-0.375, -0.25, -0.125, 0.0, 0.125, 0.25, 0.375)
+_MOST_FREQUENCIES: Final = 400
+_MOST_SAMPLES: Final = 4000
+_AT_ONCE: Final = 32
+_RIDGE: Final = 1e-3
+"""Share of a wave below which what the fit has left of it counts for less: next to nothing is no evidence."""
+_NOTHING: Final = 1e-10
+_SAMPLES_A_COLUMN: Final = 10
+"""Fewest samples for each column: fewer leave nothing to be told from."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Channel:
+    """One residual with what may explain it: all times the root of the weights.
+
+    Attributes
+    ----------
+    residual : shape (n,)
+        Residual, nT.
+    base : shape (n, q)
+        Orthonormal columns of what the fit has taken up already.
+    carriers : shape (n, k)
+        Change of the residual by the bias along the axes that reach it.
+    """
+
+    residual: Floats
+    base: Floats
+    carriers: Floats
+
+    def explained(self, phases: Floats) -> Floats:
+        """Return the sums of squares, shape (m,), nT^2, that waves of ``phases``, shape (m, n), rad, take each."""
+        columns = self._columns(phases)
+        slopes, shared = columns @ self.residual, columns @ self.base
+        normals = columns @ columns.swapaxes(1, 2)
+        size = np.sqrt(np.diagonal(normals, axis1=1, axis2=2))
+        normals -= shared @ shared.swapaxes(1, 2)
+        slopes /= size
+        normals /= size[:, :, None] * size[:, None, :]
+        normals += _RIDGE * np.eye(normals.shape[1])
+        return np.asarray(np.sum(slopes * np.linalg.solve(normals, slopes[:, :, None])[:, :, 0], axis=1))
+
+    def without(self, phase: Floats) -> _Channel:
+        """Return the channel with the wave of ``phase``, shape (n,), rad, among the things taken up."""
+        columns = self._columns(phase[None])[0].T
+        rest = _orthonormal(columns - self.base @ (self.base.T @ columns))
+        left = self.residual - rest @ (rest.T @ self.residual)
+        return _Channel(left, np.column_stack([self.base, rest]), self.carriers)
+
+    def _columns(self, phases: Floats) -> Floats:
+        """Return what waves of the bias do to the residual, shape (m, 2 k, n)."""
+        carriers = self.carriers.T
+        cosines, sines = np.cos(phases)[:, None], np.sin(phases)[:, None]
+        return np.concatenate([carriers * cosines, carriers * sines], axis=1)
+
+
+def slow_waves(observations: Observations, fit: Fit) -> tuple[float, ...]:
+    """Return the periods, s, of the waves of the bias that explain what ``fit`` has left, the strongest first.
+
+    None where nothing slow is left, and none where waves do not explain it.
+
+    ``observations``: those of the fit, with the fall of the reference by the clock where that was among its unknowns.
+    """
+    step = max(1, -(-len(observations) // _MOST_SAMPLES))
+    t_s = observations.t_s[::step]
+    span_s = float(t_s[-1] - t_s[0])
+    cycles = np.arange(_STEP_CYCLES, span_s / SHORTEST_S, _STEP_CYCLES)[:_MOST_FREQUENCIES]
+    channels = [*_channels(observations.take(slice(None, None, step)), fit, step)]
+    if not cycles.size or len(t_s) < _SAMPLES_A_COLUMN * (channels[0].base.shape[1] + 6 * MOST_WAVES):
+        return ()
+    turns = 2.0 * np.pi * (t_s - t_s[0]) / span_s
+    limit = _limit(len(cycles))
+    periods: list[float] = []
+    while len(periods) <= MOST_WAVES:
+        coarse = cycles[int(np.argmax(_explained(channels, turns, cycles)))]
+        near = coarse + np.array(_BETWEEN_CYCLES)
+        explained = _explained(channels, turns, near)
+        best = float(near[int(np.argmax(explained))])
+        after = [channel.without(best * turns) for channel in channels]
+        left = sum(float(channel.residual @ channel.residual) for channel in after)
+        freedom = sum(channel.residual.size - channel.base.shape[1] for channel in after)
+        if explained.max() < limit * left / freedom:
+            return tuple(periods)
+        periods.append(span_s / best)
+        channels = after
+    return ()
+
+
+def wave_columns(t_s: Floats, periods_s: tuple[float, ...]) -> dict[str, Floats]:
+    """Return the regressors of waves of ``periods_s``, s, at ``t_s``: their mean over the session is taken off."""
+    made = {}
+    for i, period_s in enumerate(periods_s):
+        phase = 2.0 * np.pi * t_s / period_s
+        for name, column in (("cos", np.cos(phase)), ("sin", np.sin(phase))):
+            made[f"wave_{i}_{name}"] = column - column.mean()
+    return made
+
+
+def _explained(channels: list[_Channel], turns: Floats, cycles: Floats) -> Floats:
+    """Return what waves of ``cycles``, shape (m,), a session take from all channels, shape (m,), nT^2."""
+    parts = np.array_split(cycles, -(-len(cycles) // _AT_ONCE))
+    return np.concatenate([sum(one.explained(np.outer(part, turns)) for one in channels) for part in parts])
+
+
+def _limit(frequencies: int) -> float:
+    """Return the sum of squares, in variances, that six columns reach with `CHANCE` at one of ``frequencies``."""
+    from scipy.special import chdtri
+
+    return float(chdtri(6, CHANCE / frequencies))
+
+
+def _channels(o: Observations, fit: Fit, step: int) -> Iterator[_Channel]:
+    """Yield what is told apart: |B|, or the sensor's axes one after the other, of every ``step``-th sample."""
+    residual, root = fit.residuals_nt[::step], np.sqrt(fit.weights[::step])
+    matrix = matrix_of_parameters(fit.parameters.scale, np.deg2rad(fit.parameters.nonorthogonality_deg))
+    reading = readings_without(o.regressors, o.h_nt, fit.parameters)
+    ones, columns = np.ones((len(o), 1)), [column[:, None] for column in o.regressors.values()]
+    if residual.ndim == 1:
+        corrected = (reading - fit.parameters.bias_nt) @ inverse_lower(matrix).T
+        along = corrected / np.linalg.norm(corrected, axis=1)[:, None]
+        rows, entries = np.tril_indices(3)
+        base = [along[:, rows] * reading[:, entries], along, o.rate_nt_s, *(along * column for column in columns)]
+        yield _weighed(residual, np.column_stack(base), along, root)
+        return
+    field_nt, along_axes = o.require_vector(), residual @ matrix.T
+    for axis in range(3):
+        base = [field_nt[:, : axis + 1], ones, *columns]
+        if o.rate_base_nt_s is not None:
+            base.append(o.rate_base_nt_s @ matrix[axis])
+        yield _weighed(along_axes[:, axis], np.column_stack(base), ones, root)
+
+
+def _weighed(residual: Floats, base: Floats, carriers: Floats, root: Floats) -> _Channel:
+    weighed = root[:, None] * base
+    basis = _orthonormal(weighed / np.linalg.norm(weighed, axis=0))
+    left = root * residual
+    return _Channel(left - basis @ (basis.T @ left), basis, root[:, None] * carriers)
+
+
+def _orthonormal(columns: Floats) -> Floats:
+    """Return orthonormal columns that span ``columns``, shape (n, k), but for what is next to nothing of them."""
+    sizes, turns = np.linalg.eigh(columns.T @ columns)
+    is_told = sizes > _NOTHING * sizes[-1]
+    return np.asarray(columns @ (turns[:, is_told] / np.sqrt(sizes[is_told])))
