@@ -1,8 +1,8 @@
 """Start `magcal` with faults planted: only the suite starts it like this.
 
 FAULT_CALCULATION: one of `planted`, in place of a calibration. FAULT_POINT: where this process kills itself.
-FAULT_PAGES: pages that the SQLite database may grow to, for a disk that is full. FAULT_GRACE_S: how long a worker that
-is asked to stop leaves to the job in hand.
+FAULT_WHEN: a file; it kills itself only once this is there. FAULT_PAGES: pages that the SQLite database may grow to,
+for a disk that is full. FAULT_GRACE_S: how long a worker that is asked to stop leaves to the job in hand.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from sqlalchemy import Connection, Engine, event
@@ -24,15 +25,19 @@ from app.sessions.ingest import Ingest
 
 
 def die() -> None:
-    os.kill(os.getpid(), signal.SIGKILL)
+    """Kill this process, now or, where a file is to say so, once that is there."""
+    when = os.environ.get("FAULT_WHEN")
+    if when is None or Path(when).exists():
+        os.kill(os.getpid(), signal.SIGKILL)
 
 
 def kill_after(method: Callable[..., Any]) -> Callable[..., Any]:
     """Return a method that kills the process when it has done its work."""
 
     def wrapped(*arguments: Any, **named: Any) -> Any:
-        method(*arguments, **named)
+        result = method(*arguments, **named)
         die()
+        return result
 
     return wrapped
 

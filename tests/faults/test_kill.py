@@ -9,10 +9,12 @@ import socket
 import time
 from concurrent.futures import ThreadPoolExecutor
 
+import httpx2
 import pytest
 from faultsite import CSV, SEED, TRIALS, Site, piece, prepare, submit, upload, wait_for
 
 ALL = {"limit": 1000}
+STATIONS = 4
 LONG = pytest.mark.timeout(600 + 60 * TRIALS)
 
 
@@ -115,28 +117,47 @@ def test_a_server_killed_in_the_middle_of_an_upload_has_kept_nothing(site: Site,
 
 @LONG
 @pytest.mark.parametrize("point", ["before_commit", "after_commit"])
-def test_a_server_killed_about_its_commit_answers_the_retry_with_one_session(site: Site, telemetry: bytes, point: str):
-    """F4: before the commit nothing is kept; after it the retry finds the session, by key and by bytes."""
-    server, url = site.serve(workers=0)
+def test_a_server_killed_about_its_commit_answers_each_retry_with_one_session(
+    site: Site, telemetry: bytes, point: str, record_property
+):
+    """F4: four stations share the commit; before it nothing is kept, after it retries find it, by key and by bytes."""
+    armed, kept_of_killed = site.folder / "armed", []
+    faulty = {"FAULT_POINT": point, "FAULT_WHEN": str(armed)}
+    server, url = site.serve(workers=0, **faulty)
     with site.client(url) as api:
         prepare(api)
-    kept_of_killed = int(point == "after_commit")
-    for trial in range(TRIALS):
-        content, once = piece(telemetry, trial), {"idempotency-key": f"pass-{trial}"}
-        server.terminate()
-        server.wait()
-        server, url = site.serve(workers=0, FAULT_POINT=point)
-        with site.client(url) as api, pytest.raises(Exception, match=r"."):
-            upload(api, content, **once)
-        assert server.wait(30) == -signal.SIGKILL
-        server, url = site.serve(workers=0)
+
+    def send(number: int) -> httpx2.Response:
+        with site.client(url) as station:
+            return upload(station, piece(telemetry, number), **{"idempotency-key": f"pass-{number}"})
+
+    def kept(numbers: range) -> list[int]:
+        """Return the numbers of the sessions that there are, each as often as it is there."""
+        sent = {hashlib.sha256(piece(telemetry, number)).hexdigest(): number for number in numbers}
         with site.client(url) as api:
-            assert len(api.get("/sessions", params=ALL).json()["items"]) == trial + kept_of_killed
-            retried = upload(api, content, **once)
-            assert retried.status_code == (200 if kept_of_killed else 201)
-            assert upload(api, content).json()["id"] == retried.json()["id"]
-            assert retried.json()["sha256"] == hashlib.sha256(content).hexdigest()
-            assert len(api.get("/sessions", params=ALL).json()["items"]) == trial + 1
+            newest = api.get("/sessions", params={"limit": 3 * STATIONS}).json()["items"]
+        return sorted(sent[one["sha256"]] for one in newest if one["sha256"] in sent)
+
+    with ThreadPoolExecutor(STATIONS) as stations:
+        for trial in range(TRIALS):
+            numbers = range(STATIONS * trial, STATIONS * (trial + 1))
+            armed.touch()
+            cut = [stations.submit(send, number) for number in numbers]
+            assert all(isinstance(one.exception(), httpx2.TransportError) for one in cut)
+            assert server.wait(30) == -signal.SIGKILL
+            armed.unlink()
+            server, url = site.serve(workers=0, **faulty)
+            found = kept(numbers)
+            assert (len(found) > 0) == (point == "after_commit")
+            retried = list(stations.map(send, numbers))
+            assert [one.status_code for one in retried] == [200 if number in found else 201 for number in numbers]
+            with site.client(url) as api:
+                again = [upload(api, piece(telemetry, number)).json()["id"] for number in numbers]
+            assert again == [one.json()["id"] for one in retried]
+            assert kept(numbers) == list(numbers)
+            kept_of_killed.append(len(found))
+    record_property("kept_of_killed", kept_of_killed)
+    assert site.magcal("db", "audit").returncode == 0
 
 
 @LONG

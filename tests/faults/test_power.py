@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
-from faultsite import Site, prepare, upload
+from faultsite import TRIALS, Site, prepare, upload
 
 from app.database import Database
 from app.keys.repository import SYSTEM
@@ -24,7 +24,7 @@ from app.settings import Settings
 from app.store import open_store
 from app.upkeep.audit import audit
 
-UPLOADS = 20
+UPLOADS = max(20, TRIALS)
 CALLS = "openat,pwrite64,write,ftruncate,fsync,fdatasync,rename,unlink,sendto"
 LINE = re.compile(r"(?P<task>\d+) +(?:<\.\.\. (?P<resumed>\w+) resumed>)?(?P<text>.*)")
 CALL = re.compile(r"(?P<name>\w+)\((?P<rest>.*)\) += (?P<result>-?\d+)")
@@ -134,10 +134,10 @@ def play(disk: Disk, name: str, text: str, path: str, root: Path) -> None:
             disk.write(path, at, strings(text)[0])
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(300 + 10 * UPLOADS)
 @pytest.mark.parametrize("store", ["database", "folder"])
 def test_what_is_acknowledged_is_on_the_disk_and_not_only_on_its_way(tmp_path: Path, telemetry: bytes, store: str):
-    """Of 20 uploads, each is found after a power loss at the moment of its acknowledgement; none could be otherwise."""
+    """Each upload is found after a power loss at the moment of its acknowledgement; none could be otherwise."""
     assert shutil.which("strace"), (
         "strace, which shows what was synced when, is not installed; `make system` installs it"
     )
