@@ -1,6 +1,7 @@
 """A history reprocessed over PostgreSQL by 1, 2 and 4 worker processes: calibrations a second, from request to end.
 
-``MAGCAL_BENCH_SESSIONS`` sessions of 401 to 700 samples (default 300; 10,000 for the long run).
+``MAGCAL_BENCH_SESSIONS`` sessions of some 400 to 700 samples (default 300; 10,000 for the long run) and
+``MAGCAL_BENCH_WORKERS`` numbers of workers, with commas (default 1,2,4).
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from benchmarks.service import postgres
 from magcal_core.telemetry import write_samples
 
 ROOM = "reprocessing"
-WORKERS = (1, 2, 4)
+WORKERS = tuple(int(count) for count in os.environ.get("MAGCAL_BENCH_WORKERS", "1,2,4").split(","))
 WARM_S = 20.0
 MAGCAL = (sys.executable, "-c", "from app.cli.main import run; run()")
 
@@ -55,7 +56,7 @@ def _fill(api: httpx2.Client, count: int) -> None:
     api.post("/satellites/a/orbits", content=tle_text(), headers={"content-type": "text/plain"}).raise_for_status()
     lines = write_samples(simulated(SESSIONS[0]).samples, "csv").splitlines(keepends=True)
     for number in range(count):
-        content = b"".join(lines[: 701 - number % 300]) + b"\n" * (number // 300)
+        content = b"".join(lines[: len(lines) - number % 300]) + b"\n" * (number // 300)
         where = {"params": {"magnetometer": "m"}, "headers": {"content-type": "text/csv"}}
         api.post("/satellites/a/sessions", content=content, **where).raise_for_status()  # type: ignore[arg-type]
 
