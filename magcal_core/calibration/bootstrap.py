@@ -2,8 +2,7 @@
 
 Notes
 -----
-A replicate is the estimate from blocks drawn with replacement. Its place is one Newton step away from the fit to all
-data, -N^-1 s with normal matrix N and score s summed over the blocks drawn, and those sums are known of every block: no
+A replicate is the estimate from blocks drawn with replacement. Its place is one step away from the fit to all data: no
 replicate needs the samples [ANDREWS]_. Where that is not enough shows farthest out, so replicates are refitted to the
 samples from there inwards, until a few in a row agree with their steps.
 """
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations
+from magcal_core.calibration.one_step import moves_of
 from magcal_core.calibration.result import Parameters
 from magcal_core.errors import EstimationError
 
@@ -76,7 +76,7 @@ def bootstrap(  # noqa: PLR0917
         weights = observations.weights * np.repeat(counts[replicate], lengths)
         return estimator.refit(replace(still, weights=weights), settings, near).vector - at.vector
 
-    moves, failed = _settled(_steps(near, counts, estimator.is_vector), refit)
+    moves, failed = _settled(moves_of(near, counts, is_vector=estimator.is_vector), refit)
     if failed == replicates:
         raise EstimationError(f"bootstrap: none of {replicates} replicates determines the parameters")
     values = at.vector + moves
@@ -108,22 +108,3 @@ def _drawn(cells: int, in_a_row: int, replicates: int, random: np.random.Generat
     first = random.integers(0, cells, (replicates, max(1, round(cells / in_a_row))))
     at = (first[:, :, None] + np.arange(in_a_row)) % cells
     return np.stack([np.bincount(one.ravel(), minlength=cells) for one in at]).astype(np.float64)
-
-
-def _steps(near: Fit, counts: Floats, is_vector: bool) -> Floats:
-    """Return how far one step leads in the parameters where blocks weigh ``counts``, shape (replicates, p).
-
-    NaN where the blocks of some replicate do not determine it: then none is believed without a refit.
-
-    A vector fit's scores have the derivative of the model in them, a scalar one's that of the residual: hence the sign.
-    """
-    blocks, clock = near.blocks, near.clock.size
-    q = blocks.scores.shape[1] - clock
-    normals = np.tensordot(counts, blocks.normals[:, :q, :q], 1)
-    scores = counts @ blocks.scores[:, :q]
-    size = np.sqrt(np.maximum(np.diagonal(normals, axis1=1, axis2=2), 1e-300))
-    try:
-        steps = np.linalg.solve(normals / (size[:, :, None] * size[:, None, :]), (scores / size)[:, :, None])[:, :, 0]
-    except np.linalg.LinAlgError:
-        steps = np.full_like(scores, np.nan)
-    return np.asarray((1.0 if is_vector else -1.0) * (steps / size) @ blocks.to_parameters[: -clock or None, :q].T)
