@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.installed
 KERNELS := $(VENV)/.kernels
 
 .DEFAULT_GOAL := help
-.PHONY: help system install demo test check format bench docs faults lock audit clean
+.PHONY: help system install demo test check format bench studies docs faults lock audit clean
 
 help:            ## this list
 	@grep -hE '^[a-z]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 12
@@ -58,6 +58,9 @@ faults: $(KERNELS) ## kill, pause and fill real processes; MAGCAL_FAULT_TRIALS=N
 
 bench: $(KERNELS) ## measure against peers and bare kernels; writes benchmarks/results/
 	$(BIN)/python -m benchmarks
+
+studies: $(KERNELS) ## count errors of estimates and verdicts over thousands of simulated missions; an hour or two
+	$(BIN)/python -m benchmarks --studies
 
 docs: $(STAMP)    ## the documentation as web pages in site/
 	$(BIN)/mkdocs build --strict --quiet

@@ -1,11 +1,12 @@
 """Run every benchmark: ``python -m benchmarks [ROOM ...]`` prints a table and writes it as JSON under ``results/``.
 
 Every module of this package that has ``figures()`` takes part, each in a process of its own: one that fails is
-reported, the others go on, and the exit status tells. ``--write-docs`` writes the latest figures into
-``docs/performance.md`` and measures nothing.
+reported, the others go on, and the exit status tells. Studies, which count errors over thousands of simulated missions
+(``IS_STUDY``), run where they are named, and all of them with ``--studies``: they need time and no idle machine.
+``--write-docs`` writes the latest figures into ``docs/performance.md`` and measures nothing.
 
-``MAGCAL_BENCH_ROOM_S`` is the most that one room may take (default 420 s); no further room is begun after
-``MAGCAL_BENCH_MINUTES`` (default 20 min).
+``MAGCAL_BENCH_ROOM_S`` is the most that one room may take (default 420 s, an hour for a study); no further room is
+begun after ``MAGCAL_BENCH_MINUTES`` (default 30 min; three hours for studies).
 """
 
 from __future__ import annotations
@@ -28,20 +29,21 @@ from benchmarks.measure import Figure
 from benchmarks.record import RoomRecord, now, update_latest
 from benchmarks.table import write_page
 
-ROOM_S: Final = float(os.environ.get("MAGCAL_BENCH_ROOM_S", "420"))
-MINUTES: Final = float(os.environ.get("MAGCAL_BENCH_MINUTES", "20"))
+ROOM_S: Final = 420.0
+STUDY_S: Final = 3600.0
+MINUTES: Final = 30.0
+STUDY_MINUTES: Final = 180.0
 FIGURES_OF: Final = "--figures-of"
 WRITE_DOCS: Final = "--write-docs"
+STUDIES: Final = "--studies"
 STATES: Final = {True: "met", False: "MISSED", None: ""}
 
 
-def rooms() -> list[str]:
-    """Return the names of the benchmark modules."""
-    return [
-        module.name
-        for module in pkgutil.iter_modules(benchmarks.__path__)
-        if module.name != "__main__" and hasattr(importlib.import_module(f"benchmarks.{module.name}"), "figures")
-    ]
+def rooms() -> dict[str, bool]:
+    """Return the names of the benchmark modules, and whether each is a study."""
+    names = [module.name for module in pkgutil.iter_modules(benchmarks.__path__) if module.name != "__main__"]
+    modules = {name: importlib.import_module(f"benchmarks.{name}") for name in names}
+    return {name: hasattr(module, "IS_STUDY") for name, module in modules.items() if hasattr(module, "figures")}
 
 
 def tell(room: str) -> None:
@@ -55,8 +57,8 @@ def tell(room: str) -> None:
             print(json.dumps(figure.to_dict()), file=lines, flush=True)
 
 
-def measured(room: str) -> Iterator[Figure]:
-    """Yield the figures of a room as its process tells them.
+def measured(room: str, most_s: float) -> Iterator[Figure]:
+    """Yield the figures of a room as its process tells them, which may take ``most_s``.
 
     Raises
     ------
@@ -65,7 +67,7 @@ def measured(room: str) -> Iterator[Figure]:
     """
     command = [sys.executable, "-m", "benchmarks", FIGURES_OF, room]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
-    limit = threading.Timer(ROOM_S, os.killpg, (process.pid, signal.SIGKILL))
+    limit = threading.Timer(most_s, os.killpg, (process.pid, signal.SIGKILL))
     limit.start()
     try:
         for line in process.stdout or ():
@@ -79,14 +81,18 @@ def measured(room: str) -> Iterator[Figure]:
 
 def run(names: Sequence[str]) -> list[str]:
     """Measure and write the rooms in ``names``, and return what failed."""
-    begun, failed = time.monotonic(), []
+    begun, failed, is_study = time.monotonic(), [], rooms()
+    minutes = float(
+        os.environ.get("MAGCAL_BENCH_MINUTES", STUDY_MINUTES if any(is_study.get(name) for name in names) else MINUTES)
+    )
     for name in names:
-        if time.monotonic() - begun > 60 * MINUTES:
-            failed.append(f"{name}: not begun within {MINUTES:g} min")
+        if time.monotonic() - begun > 60 * minutes:
+            failed.append(f"{name}: not begun within {minutes:g} min")
             continue
         start, load, figures = time.monotonic(), os.getloadavg()[0], []
+        most_s = float(os.environ.get("MAGCAL_BENCH_ROOM_S", STUDY_S if is_study.get(name) else ROOM_S))
         try:
-            for figure in measured(name):
+            for figure in measured(name, most_s):
                 figures.append(figure)
                 value = f"{figure.value:12.4g} {figure.unit:10} {figure.aim:22}"
                 print(f"{name:12} {figure.what:72} {value} {STATES[figure.is_met]} {figure.note}", flush=True)
@@ -107,7 +113,9 @@ def main() -> None:
     if arguments == [WRITE_DOCS]:
         write_page()
         return
-    failed = run(arguments or rooms())
+    if not arguments or arguments == [STUDIES]:
+        arguments = [name for name, is_study in rooms().items() if is_study is bool(arguments)]
+    failed = run(arguments)
     for line in failed:
         print(f"FAILED {line}")
     sys.exit(1 if failed else 0)

@@ -30,6 +30,7 @@ from magcal_core.pipeline import calibrate
 from magcal_core.sensor import SensorModel
 from magcal_core.simulation import Disturbances, Simulation, simulate
 
+IS_STUDY = True
 PASSES = 200
 OFFSETS_S = (0.0, 0.5, 1.0)
 WAVE_PERIOD_S = 5640.0

@@ -28,6 +28,7 @@ from magcal_core.simulation import Disturbances, simulate
 
 Floats = NDArray[np.float64]
 
+IS_STUDY = True
 MISSIONS: Final = 40
 ORBIT_S: Final = 5700.0
 ORBITS: Final = (0.5, 1.0, 2.0, 4.0, 10.0)

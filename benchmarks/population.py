@@ -15,6 +15,7 @@ from benchmarks.measure import Figure
 from magcal_core.missions import draw_mission
 from magcal_core.population import TOLERANCE, Outcome, rates_of, run_mission
 
+IS_STUDY = True
 MISSIONS = 2000
 MINUTES = 40.0
 FIRST_SEED = 10_000
