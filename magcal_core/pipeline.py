@@ -334,6 +334,12 @@ def _warnings(referenced: Referenced, estimate: _Estimate, judgement: Judgement)
             f"time_offset_not_used: {clock.offset_s:.2f} +- {clock.offset_error_s:.2f} s is not significant; data like "
             f"these show {clock.detectable_s:.2g} s and more"
         )
+    if clock is not None and clock.wave_periods_s:
+        periods = " and ".join(f"{period_s / 60.0:.0f}" for period_s in clock.wave_periods_s)
+        found.append(
+            f"bias_waves: the bias swings with a period of {periods} min; the clock was found beside that, the "
+            "parameters hold the mean; a column that swings likewise would be a regressor"
+        )
     if judgement.cross_validated_rms_nt is None:
         found.append("not_cross_validated: a part of the data alone does not determine the parameters")
     return tuple(found)
