@@ -32,6 +32,8 @@ MOST_WAVES: Final = 3
 _STEP_CYCLES: Final = 0.5
 """Step between the frequencies that are tried, in waves a session: nearer ones are the same to it."""
 _BETWEEN_CYCLES: Final = (-0.375, -0.25, -0.125, 0.0, 0.125, 0.25, 0.375)
+_SEEN_BETWEEN: Final = 0.7
+"""Share of what a wave explains that is seen from the nearest step: a quarter of a wave off, 0.8."""
 _MOST_FREQUENCIES: Final = 400
 _MOST_SAMPLES: Final = 4000
 _AT_ONCE: Final = 32
@@ -81,7 +83,7 @@ class _Channel:
 
     def _columns(self, phases: Floats) -> Floats:
         """Return what waves of the bias do to the residual, shape (m, 2 k, n)."""
-        carriers = self.carriers.T
+        carriers = np.ascontiguousarray(self.carriers.T)
         cosines, sines = np.cos(phases)[:, None], np.sin(phases)[:, None]
         return np.concatenate([carriers * cosines, carriers * sines], axis=1)
 
@@ -104,14 +106,14 @@ def slow_waves(observations: Observations, fit: Fit) -> tuple[float, ...]:
     limit = _limit(len(cycles))
     periods: list[float] = []
     while len(periods) <= MOST_WAVES:
-        coarse = cycles[int(np.argmax(_explained(channels, turns, cycles)))]
-        near = coarse + np.array(_BETWEEN_CYCLES)
+        roughly = _explained(channels, turns, cycles)
+        if roughly.max() < _SEEN_BETWEEN * limit * _variance(channels):
+            return tuple(periods)
+        near = cycles[int(np.argmax(roughly))] + np.array(_BETWEEN_CYCLES)
         explained = _explained(channels, turns, near)
         best = float(near[int(np.argmax(explained))])
         after = [channel.without(best * turns) for channel in channels]
-        left = sum(float(channel.residual @ channel.residual) for channel in after)
-        freedom = sum(channel.residual.size - channel.base.shape[1] for channel in after)
-        if explained.max() < limit * left / freedom:
+        if explained.max() < limit * _variance(after):
             return tuple(periods)
         periods.append(span_s / best)
         channels = after
@@ -132,6 +134,13 @@ def _explained(channels: list[_Channel], turns: Floats, cycles: Floats) -> Float
     """Return what waves of ``cycles``, shape (m,), a session take from all channels, shape (m,), nT^2."""
     parts = np.array_split(cycles, -(-len(cycles) // _AT_ONCE))
     return np.concatenate([sum(one.explained(np.outer(part, turns)) for one in channels) for part in parts])
+
+
+def _variance(channels: list[_Channel]) -> float:
+    """Return the variance of what is left, nT^2."""
+    left = sum(float(channel.residual @ channel.residual) for channel in channels)
+    freedom = sum(channel.residual.size - channel.base.shape[1] for channel in channels)
+    return float(left / freedom)
 
 
 def _limit(frequencies: int) -> float:
@@ -164,7 +173,7 @@ def _channels(o: Observations, fit: Fit, step: int) -> Iterator[_Channel]:
 
 def _weighed(residual: Floats, base: Floats, carriers: Floats, root: Floats) -> _Channel:
     weighed = root[:, None] * base
-    basis = _orthonormal(weighed / np.linalg.norm(weighed, axis=0))
+    basis = _orthonormal(weighed / np.maximum(np.linalg.norm(weighed, axis=0), 1e-300))
     left = root * residual
     return _Channel(left - basis @ (basis.T @ left), basis, root[:, None] * carriers)
 
