@@ -20,7 +20,8 @@ from app.errors import StoredObjectCorruptError
 from app.settings import Settings
 
 PART_BYTES: Final = 1 << 22
-ZSTD_LEVEL: Final = 1
+ZSTD: Final = zstandard.ZstdCompressionParameters.from_level(1, hash_log=10, min_match=6)
+"""A table of places that the nearest cache holds: of rows of numbers it finds what a large one does, and sooner."""
 ZSTD_FRAMING: Final = -1000
 """Level at which zstd does little but copy, for bytes that are compressed already."""
 PROBE_BYTES: Final = 1 << 16
@@ -168,8 +169,12 @@ class DatabaseStore:
 def _compressed(part: memoryview) -> bytes:
     """Return a part as zstd; one whose beginning does not shrink is framed without much of a search."""
     probe = part[:PROBE_BYTES]
-    shrinks = len(part) <= PROBE_BYTES or len(zstandard.compress(probe, ZSTD_LEVEL)) < SHRUNK * len(probe)
-    return zstandard.ZstdCompressor(ZSTD_LEVEL if shrinks else ZSTD_FRAMING).compress(part)
+    shrinks = len(part) <= PROBE_BYTES or len(_compressor().compress(probe)) < SHRUNK * len(probe)
+    return (_compressor() if shrinks else zstandard.ZstdCompressor(ZSTD_FRAMING)).compress(part)
+
+
+def _compressor() -> zstandard.ZstdCompressor:
+    return zstandard.ZstdCompressor(compression_params=ZSTD)
 
 
 def open_store(settings: Settings) -> Store:
