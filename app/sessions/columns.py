@@ -37,7 +37,7 @@ BLOCK: Final = 1 << 14
 
 def encode(samples: Samples) -> bytes:
     """Return ``samples`` as Arrow IPC; every bit of every value is kept."""
-    packed = [_packed(name, pa.array(np.ascontiguousarray(values))) for name, values in _columns(samples)]
+    packed = [_packed(name, values) for name, values in _columns(samples)]
     table = pa.Table.from_arrays([values for _, values in packed], schema=pa.schema([one for one, _ in packed]))
     sink = pa.BufferOutputStream()
     options = pa.ipc.IpcWriteOptions(compression="zstd", use_threads=len(samples) > SMALL_ROWS)
@@ -80,19 +80,21 @@ def decode(content: bytes) -> Samples:
     )
 
 
-def _packed(name: str, values: pa.Array) -> tuple[pa.Field, pa.Array]:
+def _packed(name: str, values: NDArray[np.generic]) -> tuple[pa.Field, pa.Array]:
     """Return a column in the shortest form that gives every bit of it back, and its field, which says in which."""
-    plain = values.to_numpy(zero_copy_only=False)
-    if plain.dtype == np.float64 and len(plain):
-        for decimals in _decimals(plain[:PROBED]):
-            whole = _whole(plain, float(SCALES[decimals]))
+    if values.dtype == np.float64 and len(values):
+        numbers: Floats = values.astype(np.float64, copy=False)
+        for decimals in _decimals(numbers[:PROBED]):
+            whole = _whole(numbers, float(SCALES[decimals]))
             if whole is not None:
-                return _as_whole(name, plain, whole, decimals)
-    if plain.dtype == np.dtype("datetime64[ns]") and len(plain):
-        ticks = plain.astype(np.int64)
-        steps = pa.array(np.diff(ticks, prepend=ticks[:1]))
-        return pa.field(name, steps.type, metadata={FIRST: str(ticks[0])}), steps
-    return pa.field(name, values.type), values
+                return _as_whole(name, numbers, whole, decimals)
+    if values.dtype == np.dtype("datetime64[ns]") and len(values):
+        ticks = np.ascontiguousarray(values).view(np.int64)
+        steps = np.zeros_like(ticks)
+        np.subtract(ticks[1:], ticks[:-1], out=steps[1:])
+        return pa.field(name, pa.int64(), metadata={FIRST: str(ticks[0])}), pa.array(steps)
+    plain = pa.array(np.ascontiguousarray(values))
+    return pa.field(name, plain.type), plain
 
 
 def _decimals(values: Floats) -> list[int]:
@@ -124,17 +126,18 @@ def _whole(values: Floats, scale: float) -> NDArray[np.int32] | None:
     NaN becomes 0, and so do the few negative zeros that there may be; the caller keeps both aside.
     """
     whole, negative_zeros = np.empty(len(values), np.int32), 0
+    room = np.empty(min(len(values), BLOCK))
     for at in range(0, len(values), BLOCK):
-        part = values[at : at + BLOCK]
+        part = np.ascontiguousarray(values[at : at + BLOCK])
+        scaled, cells = room[: len(part)], whole[at : at + BLOCK]
         with np.errstate(over="ignore"):
-            scaled = np.rint(part * scale)
+            np.rint(np.multiply(part, scale, out=scaled), out=scaled)
         if not (scaled.min() > -(2.0**31) and scaled.max() < 2.0**31):
             if not bool(np.all((np.abs(scaled) < 2.0**31) | (part.view(np.int64) == NAN_BITS))):
                 return None
             scaled[np.isnan(part)] = 0.0
-        cells = scaled.astype(np.int32)
-        whole[at : at + BLOCK] = cells
-        differs = (cells / scale).view(np.int64) != part.view(np.int64)
+        cells[:] = scaled
+        differs = np.divide(cells, scale, out=scaled).view(np.int64) != part.view(np.int64)
         if differs.any():
             odd = part[differs]
             zeros = int(np.count_nonzero(odd == 0.0))

@@ -34,7 +34,7 @@ EXACT_QUATERNION: Final = 1e-9
 """Distance of the norm from 1 up to which a quaternion is left as it was sent."""
 MEDIAN_OF: Final = 10_000
 """Samples, evenly spaced, that a median is taken of."""
-_CELLS_AT_ONCE: Final = 1 << 14
+CELLS_AT_ONCE: Final = 1 << 14
 """Cells that are compared with all fill values while they are in the processor's cache."""
 GAP_STEPS: Final = 1.5
 """A step longer than this many typical steps is a gap."""
@@ -80,9 +80,9 @@ class Quality:
 def is_missing(values: Floats) -> Mask:
     """Return which cells hold no reading: empty, not finite, past all measure, or a logger's fill value; shape (n,)."""
     missing = np.empty(len(values), bool)
-    for at in range(0, len(values), _CELLS_AT_ONCE):
-        cells = values[at : at + _CELLS_AT_ONCE]
-        part = missing[at : at + _CELLS_AT_ONCE]
+    for at in range(0, len(values), CELLS_AT_ONCE):
+        cells = values[at : at + CELLS_AT_ONCE]
+        part = missing[at : at + CELLS_AT_ONCE]
         low, high = cells.min(), cells.max()
         if low >= -LARGEST_CELL and high <= LARGEST_CELL:
             part[:] = False
@@ -195,10 +195,9 @@ def check_units(samples: Samples, unit: str, field_range_nt: tuple[float, float]
     UnitsError
         The message names the unit that fits and the factor; nothing is converted.
     """
-    rows = np.flatnonzero(samples.is_used)
-    if len(rows) == 0:
+    used = _some_used(samples)
+    if len(used) == 0:
         return
-    used = samples.take(rows[:: max(len(rows) // MEDIAN_OF, 1)])
     reading_nt = _median_norm(used.h_nt)
     reference_nt = _median_reference(used)
     if reference_nt is None:
@@ -218,6 +217,14 @@ def check_units(samples: Samples, unit: str, field_range_nt: tuple[float, float]
         f"median |B| of the readings is {reading_nt:.6g} nT if they are in {unit}, expected {expected}; "
         f"they look like {best}: {fitting[best]:g} times as much"
     )
+
+
+def _some_used(samples: Samples) -> Samples:
+    """Return some of the samples that no flag keeps out of a fit, evenly spaced, enough for a median."""
+    if not samples.flags.any():
+        return samples.take(slice(None, None, max(len(samples) // MEDIAN_OF, 1)))
+    rows = np.flatnonzero(samples.is_used)
+    return samples.take(rows[:: max(len(rows) // MEDIAN_OF, 1)])
 
 
 def _median_norm(vectors: Floats) -> float:
@@ -240,7 +247,7 @@ def report(
     columns_ignored: tuple[str, ...] = (),
 ) -> Quality:
     """Return the quality report of ``samples``, which are in time order."""
-    t_ns = samples.t_utc.astype("datetime64[ns]").view(np.int64)
+    t_ns = samples.t_utc.astype("datetime64[ns]", copy=False).view(np.int64)
     steps_ns = t_ns[1:] - t_ns[:-1]
     if steps_ns.size and steps_ns.min() == 0:
         steps_ns = steps_ns[steps_ns > 0]
@@ -253,7 +260,7 @@ def report(
         rows_out_of_order=rows_out_of_order,
         quaternions_normalised=quaternions_normalised,
         columns_ignored=columns_ignored,
-        span_s=float(steps_ns.sum()) / 1e9,
+        span_s=float(t_ns[-1] - t_ns[0]) / 1e9 if len(t_ns) else 0.0,
         step_s=None if step_ns is None else step_ns / 1e9,
         gaps=0 if step_ns is None else int(np.count_nonzero(steps_ns > GAP_STEPS * step_ns)),
         longest_gap_s=float(steps_ns.max(initial=0)) / 1e9,

@@ -130,8 +130,11 @@ def _is_numeric(kind: pa.DataType) -> bool:
 
 
 def floats_of(column: pa.ChunkedArray) -> Floats:
-    """Return a numeric column, shape (n,); NaN where a cell is empty."""
+    """Return a numeric column, shape (n,), NaN where a cell is empty; doubles in one piece are shared, not copied."""
     kind = column.type
+    if pa.types.is_float64(kind) and column.num_chunks == 1 and len(column) and not column.null_count:
+        (cells,) = column.chunks
+        return np.frombuffer(cells.buffers()[1], np.float64, len(cells), 8 * cells.offset)
     if pa.types.is_decimal(kind):
         return _unpacked(column.cast(pa.float64()), np.dtype(np.float64), np.nan, np.dtype(np.float64))
     sent = np.dtype(_NUMPY_NAMES.get(str(kind), str(kind)))
