@@ -7,7 +7,8 @@ import sqlite3
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager, nullcontext
 from datetime import UTC, datetime
 from typing import Final
 
@@ -40,6 +41,8 @@ WRITES: Final = "magcal_writes"
 POOL_SIZE: Final = 32
 LONGEST_TURN_S: Final = 15.0
 """A writer of a process that has not had its turn for so long gives up; threads must not pile up behind a lock."""
+CHECKPOINT_PAGES: Final = 1000
+"""Length of the write-ahead log at which a transaction brings it home itself; SQLite's own value."""
 UNSYNCED: Final = frozenset({"SQLITE_IOERR_FSYNC", "SQLITE_IOERR_DIR_FSYNC"})
 """How SQLite tells of a sync that failed; PostgreSQL ends its server then, and recovers."""
 POSTGRES_OPTIONS: Final = (
@@ -129,7 +132,9 @@ class Database:
         self.engine = _sqlite_engine(settings) if self.is_sqlite else _postgres_engine(settings, longest_idle_s)
         self._write_engine = self.engine.execution_options(**{WRITES: True})
         self._writer = threading.Lock()
-        self._watcher = _watcher_of(settings) if self.is_sqlite else None
+        self._name = make_url(settings.url).database or ":memory:"
+        self._watcher = _watcher_of(self._name) if self.is_sqlite else None
+        self._bringer = ThreadPoolExecutor(1, "checkpoint")
         self._failure: OperationalError | None = None
         if self.is_sqlite:
             event.listen(self.engine, "handle_error", self._note)
@@ -148,6 +153,41 @@ class Database:
             yield session
 
     @contextmanager
+    def write_much(self) -> Iterator[Session]:
+        """Yield a session as `write` does, for a transaction of many megabytes.
+
+        Its pages are durable in the write-ahead log once it is committed; on SQLite they are brought home from there
+        behind it, where a short transaction does that itself now and then.
+        """
+        if not self.is_sqlite:
+            with self.write() as session:
+                yield session
+            return
+        with self._turn(), self._write_engine.connect() as connection:
+            driver = connection.connection.cursor()
+            driver.execute("PRAGMA wal_autocheckpoint=0")
+            try:
+                with Session(connection, expire_on_commit=False) as session, session.begin():
+                    yield session
+            finally:
+                driver.execute(f"PRAGMA wal_autocheckpoint={CHECKPOINT_PAGES}")
+                driver.close()
+        self._bringer.submit(self._bring_home)
+
+    def _bring_home(self) -> None:
+        """Copy what is in the write-ahead log into the database file, as far as no reader needs it where it is.
+
+        Where another connection is at it already, or it fails, what is left is the next transaction's, unless a sync
+        failed.
+        """
+        try:
+            with closing(sqlite3.connect(self._name, timeout=0.0, isolation_level=None)) as connection:
+                connection.execute("PRAGMA synchronous=FULL")
+                connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchall()
+        except sqlite3.OperationalError as error:
+            self._note_unsynced(OperationalError("PRAGMA wal_checkpoint", None, error))
+
+    @contextmanager
     def _turn(self) -> Iterator[None]:
         if not self._writer.acquire(timeout=LONGEST_TURN_S):
             raise PoolTimeoutError(f"no turn to write within {LONGEST_TURN_S:g} s")
@@ -158,8 +198,11 @@ class Database:
             self._writer.release()
 
     def _note(self, context: ExceptionContext) -> None:
-        error = context.sqlalchemy_exception
-        if isinstance(error, OperationalError) and getattr(error.orig, "sqlite_errorname", None) in UNSYNCED:
+        if isinstance(context.sqlalchemy_exception, OperationalError):
+            self._note_unsynced(context.sqlalchemy_exception)
+
+    def _note_unsynced(self, error: OperationalError) -> None:
+        if getattr(error.orig, "sqlite_errorname", None) in UNSYNCED:
             self._failure = error
 
     def check(self) -> None:
@@ -177,7 +220,8 @@ class Database:
             return None
 
     def close(self) -> None:
-        """Close every connection of the pool."""
+        """Close every connection of the pool, once what was written is brought home."""
+        self._bringer.shutdown()
         self.engine.dispose()
         if self._watcher is not None:
             self._watcher.close()
@@ -207,9 +251,8 @@ def _sqlite_engine(settings: Settings) -> Engine:
     return engine
 
 
-def _watcher_of(settings: Settings) -> sqlite3.Connection:
+def _watcher_of(name: str) -> sqlite3.Connection:
     """Return a connection that never writes, so that every commit is another's to it."""
-    name = make_url(settings.url).database or ":memory:"
     return sqlite3.connect(name, timeout=0.0, check_same_thread=False, isolation_level=None)
 
 

@@ -26,6 +26,8 @@ READERS: Final = max(2, os.cpu_count() or 1)
 SMALL_BYTES: Final = 1 << 17
 """Bodies up to this size are read by the thread that writes: long ones do not hold them up, nor they each other."""
 MOST_TOGETHER: Final = 32
+MUCH_BYTES: Final = 4 << 20
+"""Body beyond which a transaction leaves it to another thread to bring its pages home."""
 MOST_BYTES_TOGETHER: Final = 16 << 20
 """Body beyond which no further upload joins a transaction."""
 
@@ -112,5 +114,6 @@ class Keeper:
         return kept
 
     def _transaction(self, batch: Sequence[_Waiting]) -> list[Kept]:
-        with self._database.write() as session:
+        is_much = sum(one.prepared.size_bytes for one in batch) > MUCH_BYTES
+        with self._database.write_much() if is_much else self._database.write() as session:
             return self._ingest.write(session, [one.prepared for one in batch])
