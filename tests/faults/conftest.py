@@ -14,6 +14,7 @@ from magcal_core.telemetry import write_samples
 sys.path.insert(0, str(Path(__file__).parent))  # the processes of a site import what is planted in them from here
 
 from faultsite import SEED, TRIALS, Site
+from stem import Stem
 
 
 def pytest_report_header() -> str:
@@ -27,6 +28,20 @@ def site(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Site]:
     site = Site(tmp_path, url)
     yield site
     site.stop()
+
+
+@pytest.fixture(scope="session")
+def stem() -> Iterator[Stem]:
+    stem = Stem()
+    yield stem
+    stem.close()
+
+
+@pytest.fixture
+def quick_site(site: Site, stem: Stem) -> Site:
+    """An empty site whose processes are forked from one that has imported magcal."""
+    site.stem = stem
+    return site
 
 
 @pytest.fixture(scope="session")

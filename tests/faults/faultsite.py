@@ -11,15 +11,17 @@ import time
 from pathlib import Path
 
 import httpx2
+from stem import LAUNCH, Forked, Stem
 
 from app.demo.mission import tle_text
 
 TRIALS = int(os.environ.get("MAGCAL_FAULT_TRIALS", "1"))
 SEED = int(os.environ.get("MAGCAL_FAULT_SEED", "1"))
-LAUNCH = Path(__file__).with_name("launch.py")
 CSV = {"content-type": "text/csv"}
 START_S = 240.0
 """How long a process may take to start on a machine that has much else to do."""
+
+Process = subprocess.Popen[bytes] | Forked
 
 
 class Site:
@@ -33,16 +35,24 @@ class Site:
             **({"MAGCAL_DATABASE_URL": database_url} if database_url else {}),
         }
         self.prefix: list[str] = []
-        self.processes: list[subprocess.Popen[bytes]] = []
+        self.stem: Stem | None = None
+        self.processes: list[Process] = []
         self.admin_key = ""
 
     @property
     def is_postgres(self) -> bool:
         return "MAGCAL_DATABASE_URL" in self.environment
 
-    def start(self, *command: str, **environment: str) -> subprocess.Popen[bytes]:
+    def start(self, *command: str, **environment: str) -> Process:
         """Start a magcal process; its log goes to a file of the site."""
         number = len(self.processes)
+        if self.stem is not None:
+            files = self.folder / f"{number}.log", self.folder / f"{number}.out"
+            for file in files:
+                file.touch()
+            forked = self.stem.fork(command, os.environ | self.environment | environment, *files)
+            self.processes.append(forked)
+            return forked
         with (self.folder / f"{number}.log").open("wb") as log, (self.folder / f"{number}.out").open("wb") as out:
             process = subprocess.Popen(
                 [*self.prefix, sys.executable, str(LAUNCH), *command],
@@ -53,12 +63,12 @@ class Site:
         self.processes.append(process)
         return process
 
-    def log(self, process: subprocess.Popen[bytes]) -> list[dict[str, object]]:
+    def log(self, process: Process) -> list[dict[str, object]]:
         """Return the log of a process, line by line."""
         lines = (self.folder / f"{self.processes.index(process)}.log").read_text().splitlines()
         return [json.loads(line) for line in lines if line.startswith("{")]
 
-    def serve(self, workers: int = 1, **environment: str) -> tuple[subprocess.Popen[bytes], str]:
+    def serve(self, workers: int = 1, **environment: str) -> tuple[Process, str]:
         """Return a server that listens, and its address."""
         process = self.start("serve", "--port", "0", "--workers", str(workers), **environment)
         deadline = time.monotonic() + START_S
@@ -75,10 +85,10 @@ class Site:
             self.admin_key = out.split()[2]
         return process, str(url)
 
-    def raw_log(self, process: subprocess.Popen[bytes]) -> str:
+    def raw_log(self, process: Process) -> str:
         return (self.folder / f"{self.processes.index(process)}.log").read_text()
 
-    def worker(self, concurrency: int = 1, **environment: str) -> subprocess.Popen[bytes]:
+    def worker(self, concurrency: int = 1, **environment: str) -> Process:
         """Return a worker process that takes jobs."""
         process = self.start("worker", "--concurrency", str(concurrency), **environment)
         deadline = time.monotonic() + START_S

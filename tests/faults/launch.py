@@ -3,10 +3,14 @@
 FAULT_CALCULATION: one of `planted`, in place of a calibration. FAULT_POINT: where this process kills itself.
 FAULT_WHEN: a file; it kills itself only once this is there. FAULT_PAGES: pages that the SQLite database may grow to,
 for a disk that is full. FAULT_GRACE_S: how long a worker that is asked to stop leaves to the job in hand.
+
+With `--stem` it runs nothing itself, but forks a process for each line of its input that asks for one.
 """
 
 from __future__ import annotations
 
+import importlib
+import json
 import os
 import signal
 import sys
@@ -22,6 +26,9 @@ from app.jobs import execute
 from app.jobs.calibration import CalibrationKind
 from app.jobs.kinds import JOB_KINDS
 from app.sessions.ingest import Ingest
+
+PRELOADED = ("app.server", "alembic.command", "procrastinate", "psycopg", "pyarrow.pandas_compat")
+"""What a server imports by its first upload."""
 
 
 def die() -> None:
@@ -70,6 +77,38 @@ def plant() -> None:
         )
 
 
-if __name__ == "__main__":
+def fork(command: list[str], environment: dict[str, str], log: str, out: str) -> int:
+    """Return the pid of a process forked from this one; in that process, run the command and end."""
+    pid = os.fork()
+    if pid != 0:
+        return pid
+    for path, number in ((os.devnull, 0), (out, 1), (log, 2)):
+        os.dup2(os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC), number)
+    os.environ.clear()
+    os.environ.update(environment)
     plant()
-    run(sys.argv[1:])
+    run(command)
+    sys.exit(0)
+
+
+def stem() -> None:
+    """Answer each line that asks for a process with its pid, and each that asks how one has ended with its status."""
+    for name in PRELOADED:
+        importlib.import_module(name)
+    for line in sys.stdin:
+        asked = json.loads(line)
+        if "ended" in asked:
+            pid, status = os.waitpid(asked["ended"], os.WNOHANG)
+            answer = os.waitstatus_to_exitcode(status) if pid else None
+        else:
+            answer = fork(**asked)
+        sys.stdout.write(json.dumps(answer) + "\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    if sys.argv[1:] == ["--stem"]:
+        stem()
+    else:
+        plant()
+        run(sys.argv[1:])
