@@ -279,12 +279,21 @@ class SessionRepository:
 
     def columns(self, session_id: str, store: Store) -> list[bytes]:
         """Return the columnar form of a session, chunk by chunk; ExpiredError where it has been removed."""
-        row = self.get(session_id)
-        if row.raw_removed_at is not None:
+        reached = within_reach(TelemetrySession.satellite_id, self.caller)
+        asked = select(TelemetrySession.raw_removed_at, Chunk.sequence, Chunk.columns_sha256).outerjoin(
+            Chunk, Chunk.session_id == TelemetrySession.id
+        )
+        rows = self.session.execute(
+            asked.where(TelemetrySession.id == session_id, reached).order_by(Chunk.sequence)
+        ).all()
+        if not rows:
+            raise NotFoundError("no such session")
+        if rows[0].raw_removed_at is not None:
             raise ExpiredError("the telemetry is past its satellite's retention and has been removed")
         return [
-            store.get(self.session, columns_key(row.id, chunk.sequence), chunk.columns_sha256)
-            for chunk in self.chunks(row.id)
+            store.get(self.session, columns_key(session_id, row.sequence), row.columns_sha256)
+            for row in rows
+            if row.sequence is not None
         ]
 
     def check_day(self, most_bytes: int, declared: int) -> None:
