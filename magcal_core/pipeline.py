@@ -15,6 +15,7 @@ from magcal_core.calibration.error_budget import ReferenceSource, error_budget
 from magcal_core.calibration.fit import Estimator, Fit, FitSettings, FittedReadings, Observations
 from magcal_core.calibration.flags import jumps, saturated, spikes
 from magcal_core.calibration.judgement import Circumstances, Judgement, extras_of, judgement_of
+from magcal_core.calibration.monitoring import ActiveSet
 from magcal_core.calibration.mounting import mounting_of
 from magcal_core.calibration.reference_errors import ReferenceShift, reference_shifts
 from magcal_core.calibration.regressors import Ablation, ablation_of, choose_regressors, usable_columns
@@ -42,6 +43,7 @@ def calibrate(
     orbits: Sequence[Orbit] = (),
     options: CalibrationOptions | None = None,
     *,
+    active: ActiveSet | None = None,
     progress: Progress | None = None,
     **overrides: Unpack[OptionValues],
 ) -> Calibration:
@@ -55,6 +57,8 @@ def calibrate(
         Where the satellite was; not needed where the telemetry brings a reference field or a position.
     options : CalibrationOptions
         How to calibrate; ``overrides`` replace single ones, by the names of `CalibrationOptions`.
+    active : ActiveSet
+        The calibration that is in force; the verdict tells where the new one differs.
     progress : callable
         Is told the share of the work that is done, from 0 to 1.
 
@@ -68,7 +72,7 @@ def calibrate(
     chosen = CalibrationOptions() if options is None else options
     if overrides:
         chosen = CalibrationOptions.from_dict(chosen.to_dict() | dict(overrides))
-    tell = progress if progress is not None else _silent
+    tell = progress if progress is not None else lambda _share: None
     tell(0.0)
     referenced = Referenced.of(samples, orbits, chosen)
     tell(0.2)
@@ -87,6 +91,7 @@ def calibrate(
         left_out,
         tuple(f"{one.code}: {one.text}" for one in suspected),
         _reference_shifts(referenced, estimate),
+        active,
     )
     known = None if estimate.clock is None else estimate.clock.honest
     what = (estimate.estimator, estimate.observations, estimate.fit, estimate.settings)
@@ -95,10 +100,6 @@ def calibrate(
     calibration = _assemble(referenced, estimate, judgement, left_out, suspected)
     tell(1.0)
     return calibration
-
-
-def _silent(_share: float) -> None:
-    """Take no notice of progress."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -30,6 +30,7 @@ from magcal_core.options import METHODS, NOISE_MODELS, ORBIT_MODELS, ROBUST_LOSS
 from magcal_core.units import NT_PER_UNIT
 
 if TYPE_CHECKING:
+    from magcal_core.calibration.monitoring import ActiveSet
     from magcal_core.calibration.result import Calibration
     from magcal_core.samples import Samples
     from magcal_core.telemetry import Telemetry
@@ -91,6 +92,7 @@ def _estimation_options(function: F) -> F:
 @_orbit_options
 @_estimation_options
 @_telemetry_options
+@click.option("--active", type=INPUT_FILE, help="Parameter set in force: the verdict tells where the new one differs.")
 @click.option("--json", "as_json", is_flag=True, help="Print the parameter set as JSON.")
 @click.option("--residuals", type=OUTPUT_FILE, help="Write the residual table: .csv, .ndjson, .json or .parquet.")
 @click.option("-o", "--output", type=OUTPUT_FILE, help="Write the parameter set as JSON to this file too.")
@@ -108,6 +110,7 @@ def command(
     max_bad_fraction: float,
     any_field: bool,
     corrected_with: Path | None,
+    active: Path | None,
     as_json: bool,
     residuals: Path | None,
     output: Path | None,
@@ -129,7 +132,7 @@ def command(
         samples = _uncorrected(samples, corrected_with, inputs)
     orbits = [orbit for path in (*tle, *state, *orbit_file) for orbit in orbits_of_file(path)]
     with LateProgress("calibrating") as progress:
-        calibration = calibrate(samples, orbits, options, progress=progress)
+        calibration = calibrate(samples, orbits, options, active=_in_force(active), progress=progress)
     record = parameter_set(calibration, inputs)
     if residuals is not None:
         _write_residuals(calibration, residuals)
@@ -206,6 +209,20 @@ def _uncorrected(samples: Samples, path: Path, inputs: list[dict[str, object]]) 
     for one in inputs:
         one["corrected_with_sha256"] = hashlib.sha256(content).hexdigest()
     return correction.unapply(samples)
+
+
+def _in_force(path: Path | None) -> ActiveSet | None:
+    """Return the parameter set in the file ``path``, where one is given.
+
+    Raises
+    ------
+    InputError
+        The file is not a parameter set.
+    """
+    from app.records import parse_parameter_set
+    from magcal_core.calibration.monitoring import ActiveSet
+
+    return None if path is None else ActiveSet.from_record(parse_parameter_set(path.read_bytes()))
 
 
 def _options(asked: Mapping[str, object]) -> CalibrationOptions:

@@ -15,6 +15,7 @@ from app.jobs.kind import WrongKindError
 from app.orbits.parsing import orbit_of
 from app.parameter_sets.residuals import residual_table, to_bytes
 from app.sessions.repository import samples_of
+from magcal_core.calibration.monitoring import ActiveSet
 from magcal_core.calibration.result import Calibration
 from magcal_core.errors import EstimationError, InputError
 from magcal_core.options import METHODS, CalibrationOptions
@@ -31,8 +32,12 @@ def calibrate(work: object, report: Report) -> Outcome:
     orbits = [orbit_of(content) for _, content in work.orbits]
     options = CalibrationOptions.from_dict(work.options)
     together = samples_of([chunk for chunks in work.columns for chunk in chunks])
-    found = run(together, orbits, options, progress=report)
+    active = None if work.active is None else ActiveSet.from_record(work.active)
+    found = run(together, orbits, options, active=active, progress=report)
     document = found.to_dict()
+    compared = document.get("agreement")
+    if isinstance(compared, dict) and work.active is not None:
+        document["agreement"] = {"parameter_set_id": work.active["id"], **compared}
     if len(work.columns) > 1:
         document["joint"] = _joint(work, orbits, found)
     record = without_nan(document)

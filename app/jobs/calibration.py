@@ -38,12 +38,15 @@ DEFAULT_AGE_DAYS: Final = 14.0
 
 @dataclass(frozen=True, slots=True)
 class CalibrationWork:
-    """What a calibration works on: each session's chunks, orbits as (id, content), options, and its inputs' names."""
+    """What a calibration works on: each session's chunks, orbits as (id, content), options, its inputs' names, and the
+    parameter set that was in force before, where there is one.
+    """
 
     columns: Sequence[Sequence[bytes]]
     orbits: Sequence[tuple[str, str]]
     options: Mapping[str, object]
     inputs: Sequence[Mapping[str, object]]
+    active: Mapping[str, object] | None = None
 
 
 class CalibrationKind:
@@ -100,6 +103,7 @@ class CalibrationKind:
             orbits=[(row.id, row.content) for row in near],
             options=claim.request,
             inputs=[{"session_id": row.id, "sha256": identity(sessions.chunks(row.id))} for row in rows],
+            active=_in_force(session, claim, begin),
         )
 
     def keep(self, session: Session, store: Store, claim: Claim, found: Outcome) -> dict[str, object]:
@@ -123,6 +127,15 @@ class CalibrationKind:
         sets = ParameterSetRepository(session, SYSTEM)
         sets.add(row, list(session.scalars(links)), found.blobs["residuals"], store)
         return {"parameter_set_id": row.id}
+
+
+def _in_force(session: Session, claim: Claim, begin: datetime) -> dict[str, object] | None:
+    """Return the record of the set in force, with its id, where its data are older than those that begin at ``begin``.
+
+    A session from before it says what the sensor was, not whether it still is what the set in force says.
+    """
+    found = ParameterSetRepository(session, SYSTEM).in_force(str(claim.satellite_id), str(claim.magnetometer_id))
+    return None if found is None or found.data_from >= begin else {**found.record, "id": found.id}
 
 
 def _limit_days(options: Mapping[str, object]) -> float:

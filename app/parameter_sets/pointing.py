@@ -19,7 +19,6 @@ from app.orbits.choice import chosen
 from app.orbits.repository import OrbitRepository
 from app.orbits.shape import OrbitShape, shape_of
 from app.parameter_sets.repository import ParameterSetRepository
-from app.parameter_sets.schemas import ParameterSetQuery
 from app.parameter_sets.tables import ParameterSet
 from app.pointing import ImpactRecord, circle, pointing_of
 from app.records import parameter_set_record
@@ -106,9 +105,8 @@ def _impact(record: str, active: str | None, orbits: tuple[CircularOrbit, ...]) 
 
 
 def _active(sets: ParameterSetRepository, row: ParameterSet) -> ParameterSet | None:
-    wanted = ParameterSetQuery(satellite=row.satellite_id, magnetometer=row.magnetometer_id, status="active", limit=1)
-    rows, _ = sets.page(wanted)
-    return rows[0] if rows and rows[0].id != row.id else None
+    found = sets.in_force(row.satellite_id, row.magnetometer_id)
+    return None if found is None or found.id == row.id else found
 
 
 def _shape(session: Session, caller: Caller, row: ParameterSet) -> OrbitShape | None:

@@ -41,6 +41,12 @@ class ParameterSetRepository:
             raise NotFoundError("no such parameter set")
         return row
 
+    def in_force(self, satellite_id: str, magnetometer_id: str) -> ParameterSet | None:
+        """Return the parameter set that is in force for a magnetometer, if any is."""
+        reached = within_reach(ParameterSet.satellite_id, self.caller)
+        place = (ParameterSet.satellite_id == satellite_id, ParameterSet.magnetometer_id == magnetometer_id)
+        return self.session.scalar(select(ParameterSet).where(*place, ParameterSet.status == "active", reached))
+
     def page(self, query: ParameterSetQuery) -> tuple[list[ParameterSet], str | None]:
         """Return a part of the parameter sets, the newest first."""
         statement = select(ParameterSet).where(*matching(query, self.caller))

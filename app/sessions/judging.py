@@ -16,7 +16,6 @@ from app.keys.repository import SYSTEM, Caller
 from app.orbits.parsing import orbit_of
 from app.orbits.repository import OrbitRepository
 from app.parameter_sets.repository import ParameterSetRepository
-from app.parameter_sets.schemas import ParameterSetQuery
 from app.parameter_sets.tables import ParameterSet
 from app.resources import Blobs, Db
 from app.schemas import Filter, Record
@@ -152,11 +151,10 @@ def _parameter_set(session: Session, caller: Caller, row: TelemetrySession, want
     """Return the parameter set ``wanted``, which must be of the session's magnetometer, or the one in force."""
     sets = ParameterSetRepository(session, caller)
     if wanted is None:
-        query = ParameterSetQuery(satellite=row.satellite_id, magnetometer=row.magnetometer_id, status="active")
-        found, _ = sets.page(query)
-        if not found:
+        found = sets.in_force(row.satellite_id, row.magnetometer_id)
+        if found is None:
             raise NotFoundError("no parameter set is in force for the magnetometer; name one")
-        return found[0]
+        return found
     chosen = sets.get(wanted)
     if (chosen.satellite_id, chosen.magnetometer_id) != (row.satellite_id, row.magnetometer_id):
         raise OptionError("the parameter set is not of the session's magnetometer")

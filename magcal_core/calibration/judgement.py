@@ -8,9 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.calibration.agreement import Agreement, agreement_with
 from magcal_core.calibration.corrections import correct, lengths, statistics
 from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations, readings_without
 from magcal_core.calibration.kernels import residuals
+from magcal_core.calibration.monitoring import ActiveSet
 from magcal_core.calibration.motion import advice, motion_words, vector_weak_words, weak_words
 from magcal_core.calibration.observability import (
     ENOUGH,
@@ -34,8 +36,8 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Circumstances:
-    """What the verdict must know that is not in the fit: the orbit's age, clock, samples left out, suspicions, and what
-    errors of the reference do to the parameters.
+    """What the verdict must know that is not in the fit: the orbit's age, clock, samples left out, suspicions, what
+    errors of the reference do to the parameters, and the calibration in force before.
     """
 
     orbit_age_days: float
@@ -43,6 +45,7 @@ class Circumstances:
     left_out: int
     suspicions: tuple[str, ...] = ()
     reference: tuple[ReferenceShift, ...] = ()
+    active: ActiveSet | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +62,7 @@ class Judgement:
     advice: tuple[str, ...]
     verdict: Verdict
     motion: str
+    agreement: Agreement | None
 
 
 def judgement_of(  # noqa: PLR0917
@@ -80,12 +84,18 @@ def judgement_of(  # noqa: PLR0917
     before, after = statistics_of(observations, fit, estimator.is_vector)
     unseen = _unseen_rms_nt(estimator, observations, settings, fit)
     observability, motion = observability_of(observations, fit, estimator.is_vector)
+    mean_field_nt, active = float(observations.b_nt.mean()), circumstances.active
+    agreement = None
+    if active is not None:
+        agreement = agreement_with(
+            active, fit.parameters, honest.covariance, mean_field_nt, is_vector=estimator.is_vector
+        )
     lost = circumstances.left_out + int(np.count_nonzero(~(fit.weights > 0)))
     evidence = Evidence(
         index=observability.index,
         parameters=fit.parameters,
         standard_errors=_at_mean(fit, standard_errors, observations, honest),
-        mean_field_nt=float(observations.b_nt.mean()),
+        mean_field_nt=mean_field_nt,
         field_variation=_variation(observations, fit),
         before=before,
         after=after,
@@ -98,6 +108,7 @@ def judgement_of(  # noqa: PLR0917
         has_time_offset=circumstances.has_time_offset,
         suspicions=circumstances.suspicions,
         misaligned_deg=_misaligned_deg(fit),
+        agreement=agreement,
     )
     return Judgement(
         honest,
@@ -110,6 +121,7 @@ def judgement_of(  # noqa: PLR0917
         advice(observability.index, motion, observations.b_nt, duration_s),
         judge(evidence),
         motion_words(motion),
+        agreement,
     )
 
 
@@ -223,7 +235,9 @@ def _scalar_information(observations: Observations, fit: Fit) -> tuple[SphereMot
 
 def extras_of(judgement: Judgement, parameters: Parameters, samples: int) -> Mapping[str, object]:
     """Return what the record carries of a judgement beside its own fields."""
+    compared = {} if judgement.agreement is None else {"agreement": judgement.agreement.to_dict()}
     return {
+        **compared,
         "uncertainty": {
             "method": "lowest frequencies of the scores, correlations by blocks, Student's t contained",
             "blocks": judgement.honest.blocks,

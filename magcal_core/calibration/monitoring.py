@@ -184,8 +184,8 @@ def judge_moments(moments: SessionMoments, active: ActiveSet) -> SessionJudgemen
         return _judgement("too_short", (reason,), moments, active, _Drift((), 0.0, 0.0, 1.0))
     step, covariance = _step(moments)
     total = covariance + active.covariance[:p, :p]
-    drifts = _drifts(moments.at.names, step, total)
-    size_nt, error_nt = _field_change(moments, step, total)
+    drifts = differences_of(moments.at.names, step, total, "session")
+    size_nt, error_nt = field_change(moments.at, moments.mean_field_nt, step, total)
     drift = _Drift(drifts, size_nt, error_nt, min(1.0, p * drifts[0].p_value))
     reasons, grade = _reasons(moments, active, drift)
     return _judgement(grade, tuple(reasons), moments, active, drift)
@@ -256,21 +256,26 @@ def _solve(normal: Floats, right: Floats) -> Floats:
     return np.asarray(found / size if right.ndim == 1 else found / size[:, None])
 
 
-def _drifts(names: Sequence[str], step: Floats, covariance: Floats) -> tuple[ParameterDifference, ...]:
+def differences_of(
+    names: Sequence[str], step: Floats, covariance: Floats, second: str
+) -> tuple[ParameterDifference, ...]:
+    """Return the ``step`` from the active parameters to those of ``second``, the most significant first."""
     from scipy.special import ndtr
 
     errors = np.sqrt(np.diag(covariance))
     found = [
-        ParameterDifference(name, "active", "session", float(d), float(e), float(2.0 * ndtr(-abs(d) / max(e, 1e-300))))
+        ParameterDifference(name, "active", second, float(d), float(e), float(2.0 * ndtr(-abs(d) / max(e, 1e-300))))
         for name, d, e in zip(names, step, errors, strict=True)
     ]
     return tuple(sorted(found, key=lambda one: -one.sigmas))
 
 
-def _field_change(moments: SessionMoments, step: Floats, covariance: Floats) -> tuple[float, float]:
-    """Return the change of the corrected field by ``step`` and its error, nT, root mean square over directions."""
-    at = moments.at
-    b_nt = moments.mean_field_nt * _sphere()
+def field_change(at: Parameters, mean_field_nt: float, step: Floats, covariance: Floats) -> tuple[float, float]:
+    """Return the change of the corrected field by ``step`` and its error, nT, root mean square over directions.
+
+    ``step`` and ``covariance``: in the order of `Parameters.names`, of which the first nine count.
+    """
+    b_nt = mean_field_nt * _sphere()
     angles_deg, scale = at.nonorthogonality_deg, at.scale
     matrix = matrix_of_parameters(scale, np.deg2rad(angles_deg))
     inverse = np.linalg.inv(matrix)

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from magcal_core.calibration.agreement import Agreement
 from magcal_core.calibration.observability import UNOBSERVABLE_BELOW, WEAK_BELOW
 from magcal_core.calibration.result import Parameters, Reason, ResidualStatistics, Verdict
 
@@ -60,6 +61,7 @@ class Evidence:
     has_time_offset: bool
     suspicions: tuple[str, ...] = ()
     misaligned_deg: float = 0.0
+    agreement: Agreement | None = None
 
 
 def judge(evidence: Evidence) -> Verdict:
@@ -155,6 +157,8 @@ def _circumstances(evidence: Evidence) -> _Found:
         text = f"the orbit is {evidence.orbit_age_days:.1f} d from the data and its time offset was not looked for"
         found.append(("weak" if evidence.orbit_age_days <= 14.0 else "refuse", Reason("orbit_old", text)))
     found += _scale_far(evidence)
+    if evidence.agreement is not None and evidence.agreement.is_material:
+        found.append(("weak", Reason("differs_from_active", evidence.agreement.text)))
     found += [("refuse", Reason("wrong_input_suspected", text)) for text in evidence.suspicions]
     return found
 

@@ -62,6 +62,22 @@ def test_monitoring_takes_the_set_in_force_unless_one_is_named(api, satellite, f
     assert api.get(f"/sessions/{session_id}/monitoring").json()["parameter_set_id"] == found["id"]
 
 
+def test_a_new_calibration_is_held_against_the_set_in_force(api, satellite, flown):
+    """DEKART's two sessions: b2 went by -865 nT, found within four standard errors. What came before is left alone."""
+    first_id = sent(api, satellite, flown)
+    first = calibrated(api, [first_id])
+    assert "agreement" not in first
+    api.post(f"/parameter-sets/{first['id']}/activate", params={"force": True}).raise_for_status()
+    later = calibrated(api, [sent(api, satellite, simulated(SESSIONS[1]).samples)])
+    assert later["agreement"]["parameter_set_id"] == first["id"]
+    (b2,) = [one for one in later["agreement"]["differences"] if one["parameter"] == "bias_nt[1]"]
+    assert b2["difference"] == pytest.approx(-865.0, abs=4 * b2["standard_error"])
+    assert [one for one in later["verdict"]["reasons"] if one.startswith("differs_from_active")]
+    assert later["verdict"]["grade"] == "weak"
+    api.post(f"/parameter-sets/{later['id']}/activate", params={"force": True}).raise_for_status()
+    assert "agreement" not in calibrated(api, [first_id], robust="huber")
+
+
 def test_two_magnetometers_are_compared_after_calibration(api, satellite, flown):
     """The same readings under the same parameters: no rotation and no offset, to rounding."""
     api.post(f"/satellites/{satellite}/magnetometers", json={"id": "second", "unit": "nT"})

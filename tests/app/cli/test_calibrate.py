@@ -33,6 +33,20 @@ def parameter_set(*args: object, stdin: bytes | None = None) -> dict[str, object
     return record
 
 
+def test_the_set_in_force_is_compared(nominal, tmp_path):
+    """The same telemetry under another sensor's parameters: the bias of axis 1 is 2000 nT off."""
+    own = tmp_path / "own.json"
+    own.write_text(json.dumps(parameter_set(nominal)))
+    same = parameter_set(nominal, "--active", own)
+    assert same["agreement"]["differs"] is False
+    other = json.loads(own.read_text())
+    other["parameters"]["bias_nt"][0] += 2000.0
+    own.write_text(json.dumps(other))
+    record = parameter_set(nominal, "--active", own)
+    assert record["agreement"]["differences"][0]["parameter"] == "bias_nt[0]"
+    assert record["verdict"]["reasons"][0].startswith("differs_from_active")
+
+
 @pytest.fixture(scope="module")
 def nominal(data_dir: Path) -> Path:
     return data_dir / "calibration" / "nominal.csv"
