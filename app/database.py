@@ -7,7 +7,7 @@ import sqlite3
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import closing, contextmanager, nullcontext
 from datetime import UTC, datetime
 from typing import Final
@@ -135,6 +135,7 @@ class Database:
         self._name = make_url(settings.url).database or ":memory:"
         self._watcher = _watcher_of(self._name) if self.is_sqlite else None
         self._bringer = ThreadPoolExecutor(1, "checkpoint")
+        self._brought: Future[None] | None = None
         self._failure: OperationalError | None = None
         if self.is_sqlite:
             event.listen(self.engine, "handle_error", self._note)
@@ -157,13 +158,17 @@ class Database:
         """Yield a session as `write` does, for a transaction of many megabytes.
 
         Its pages are durable in the write-ahead log once it is committed; on SQLite they are brought home from there
-        behind it, where a short transaction does that itself now and then.
+        behind it, where a short transaction does that itself now and then. The next one waits until they are, lest
+        the log grow without end.
         """
         if not self.is_sqlite:
             with self.write() as session:
                 yield session
             return
         with self._turn(), self._write_engine.connect() as connection:
+            if self._brought is not None:
+                wait([self._brought])
+                self.check()
             driver = connection.connection.cursor()
             driver.execute("PRAGMA wal_autocheckpoint=0")
             try:
@@ -172,7 +177,7 @@ class Database:
             finally:
                 driver.execute(f"PRAGMA wal_autocheckpoint={CHECKPOINT_PAGES}")
                 driver.close()
-        self._bringer.submit(self._bring_home)
+            self._brought = self._bringer.submit(self._bring_home)
 
     def _bring_home(self) -> None:
         """Copy what is in the write-ahead log into the database file, as far as no reader needs it where it is.

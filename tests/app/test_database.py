@@ -53,6 +53,14 @@ def test_much_is_brought_home_behind_the_commit(database, tmp_path):
     assert numbers(home) == [1]
 
 
+def test_the_log_grows_no_longer_than_one_transaction_of_much(database, tmp_path):
+    """Ten of 8 MiB, one behind the other: each begins the log anew; a page of 4096 bytes has 24 beside it there."""
+    for number in range(10):
+        with database.write_much() as session:
+            add(session, number, 8 * MEBIBYTE)
+    assert (tmp_path / "data" / "magcal.db-wal").stat().st_size < 1.1 * 8 * MEBIBYTE
+
+
 def test_much_that_fails_leaves_nothing_and_the_next_writer_its_turn(database, tmp_path):
     with pytest.raises(ZeroDivisionError), database.write_much() as session:
         add(session, 1, MEBIBYTE)
