@@ -20,6 +20,7 @@ from app.figures.page import plotly_source, script_json
 from app.records import ParameterSetRecord, ParametersRecord, parameter_values
 from magcal_core.calibration.result import ResidualTable
 from magcal_core.errors import MagcalError
+from magcal_core.regressor_columns import is_of_scale, source_of
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -186,17 +187,21 @@ def _title(record: ParameterSetRecord) -> str:
     return f"Magnetometer calibration {of}".strip()
 
 
+def _per(regressor: str) -> str:
+    return f"per {source_of(regressor)}" if is_of_scale(regressor) else f"nT per {regressor}"
+
+
 def _row(record: ParameterSetRecord, name: str, value: float) -> ParameterRow:
     group = name.partition("[")[0]
     kind = group.partition(".")[0]
-    digits = DIGITS.get(kind, 4)
+    digits = 7 if is_of_scale(group) else DIGITS.get(kind, 4)
     honest = _error(record["standard_errors"], name)
     formal = _error(record["formal_standard_errors"], name)
     unit = UNITS.get(kind, "")
     return ParameterRow(
         symbol=figures.short_name(name),
         name=name,
-        unit=f"nT per {group.removeprefix('regressors.')}" if kind == "regressors" else unit,
+        unit=_per(group.removeprefix("regressors.")) if kind == "regressors" else unit,
         value=f"{value:.{digits}f}",
         honest="" if honest is None else f"{honest:.{digits}f}",
         formal="" if formal is None else f"{formal:.{digits}f}",

@@ -45,7 +45,8 @@ class CalibrationOptions:
     orbit : ``sgp4`` as the elements are meant, or ``numerical`` integration from them.
     time_offset : ``none``, ``estimate``, or ``auto``: where the orbit is more than 3 d from the data and they show one.
     time_drift : estimate a drift of the clock beside its offset.
-    regressors : housekeeping columns that move the bias (``time``: hours since the first sample), or ``auto``.
+    regressors : housekeeping columns that move the bias (``time``: hours since the first sample), or ``auto``;
+        ``temperature*h``: that column moves the scale.
     robust, noise_model : loss and noise model.
     noise_nt : noise of one component, nT, where it is known.
     max_orbit_age_days : orbits further from the data are refused.

@@ -21,6 +21,7 @@ from magcal_core.calibration.reference_errors import ReferenceShift, reference_s
 from magcal_core.calibration.regressors import Ablation, ablation_of, choose_regressors, usable_columns
 from magcal_core.calibration.residual_warnings import residual_warnings
 from magcal_core.calibration.result import Calibration, ResidualTable
+from magcal_core.calibration.scale_terms import WithScaleTerms
 from magcal_core.calibration.steps import steps_of
 from magcal_core.calibration.suspicions import ClockFinding, Suspicion, suspicions
 from magcal_core.calibration.time_offset import AUTO_AGE_DAYS, ClockFit, fit_with_clock
@@ -29,6 +30,7 @@ from magcal_core.options import CalibrationOptions, OptionValues
 from magcal_core.orbit import Orbit
 from magcal_core.reference import TELEMETRY_POSITION
 from magcal_core.referenced import Referenced
+from magcal_core.regressor_columns import TIME_REGRESSOR, regressor_of, source_of
 from magcal_core.samples import SampleFlag, Samples
 from magcal_core.sensor import SensorModel
 
@@ -93,9 +95,8 @@ def calibrate(
         _reference_shifts(referenced, estimate),
         active,
     )
-    known = None if estimate.clock is None else estimate.clock.honest
     what = (estimate.estimator, estimate.observations, estimate.fit, estimate.settings)
-    judgement = judgement_of(*what, circumstances, known)
+    judgement = judgement_of(*what, circumstances, None if estimate.clock is None else estimate.clock.honest)
     tell(0.95)
     calibration = _assemble(referenced, estimate, judgement, left_out, suspected)
     tell(1.0)
@@ -119,7 +120,7 @@ class _Estimate:
 
 def _estimate(referenced: Referenced, options: CalibrationOptions) -> _Estimate:
     """Return the estimate with the regressors and the clock that the options ask for or the data support."""
-    estimator = ESTIMATORS[options.method]
+    estimator: Estimator = WithScaleTerms(ESTIMATORS[options.method])
     settings = FitSettings(options.robust, options.noise_model, options.noise_nt)
     names = () if isinstance(options.regressors, str) else options.regressors
     if names and not estimator.takes_regressors:
@@ -392,7 +393,8 @@ def _flagged(samples: Samples, estimate: _Estimate) -> NDArray[np.uint16]:
 def _columns(samples: Samples, estimate: _Estimate) -> dict[str, Floats]:
     """Return the regressors of every sample: NaN where one has none."""
     t_s = (samples.t_utc - samples.t_utc[estimate.usable][0]) / np.timedelta64(1, "ns") * 1e-9
+    columns = {TIME_REGRESSOR: t_s / 3600.0, **samples.housekeeping}
     return {
-        name: np.asarray(samples.housekeeping[name] if name in samples.housekeeping else t_s / 3600.0, np.float64)
+        name: regressor_of(name, np.asarray(columns[source_of(name)], np.float64), samples.h_nt)
         for name in estimate.fit.parameters.regressors
     }

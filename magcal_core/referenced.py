@@ -16,6 +16,7 @@ from magcal_core.field.models import field_model
 from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
 from magcal_core.reference import TELEMETRY_POSITION, ReferenceReport, with_reference
+from magcal_core.regressor_columns import source_of
 from magcal_core.samples import SampleFlag, Samples
 
 Floats = NDArray[np.float64]
@@ -99,9 +100,9 @@ class Referenced:
             usable &= np.isfinite(samples.b_ref_magnitude_nt)
         if is_vector and samples.b_ref_base_nt is not None:
             usable &= np.isfinite(samples.b_ref_base_nt).all(axis=1)
-        for name in regressors:
-            if name in samples.housekeeping:
-                usable &= np.isfinite(samples.housekeeping[name])
+        for source in map(source_of, regressors):
+            if source in samples.housekeeping:
+                usable &= np.isfinite(samples.housekeeping[source])
         return usable
 
     def observations(self, usable: NDArray[np.bool_], regressors: Sequence[str]) -> Observations:

@@ -17,6 +17,7 @@ from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
 from magcal_core.reference import with_reference
 from magcal_core.referenced import Referenced, in_time_order, oriented
+from magcal_core.regressor_columns import is_of_scale, missing_columns, regressor_of, source_of
 from magcal_core.samples import Samples
 
 
@@ -41,6 +42,8 @@ def calibrate_jointly(
     chosen = CalibrationOptions() if options is None else options
     if isinstance(chosen.regressors, str):
         raise OptionError("regressors: a joint calibration takes them by name")
+    if any(map(is_of_scale, chosen.regressors)):
+        raise OptionError("regressors: a joint calibration takes those of the bias, not those of the scale")
     is_vector = chosen.method.startswith("vector")
     observed = []
     for samples in sessions.values():
@@ -73,7 +76,7 @@ def monitor(
         in_time_order(samples), orbits, field_model(name), time_offset_s=offset_s, max_orbit_age_days=max_orbit_age_days
     )
     usable = filled.is_used & np.isfinite(_reference_of(filled, is_vector=active.is_vector))
-    for column in active.parameters.regressors:
+    for column in map(source_of, active.parameters.regressors):
         if column in filled.housekeeping:
             usable &= np.isfinite(filled.housekeeping[column])
     columns = list(active.parameters.regressors)
@@ -106,10 +109,13 @@ def compare_sensors(
 def _corrected(samples: Samples, parameters: Parameters) -> CorrectedReadings:
     ordered = in_time_order(samples)
     used = ordered.take(ordered.is_used)
-    missing = [name for name in parameters.regressors if name not in used.housekeeping]
+    missing = missing_columns(parameters.regressors, used.housekeeping)
     if missing:
         raise OptionError(f"no housekeeping column {missing[0]!r}, which the parameters need")
     n = len(used)
-    columns = {name: np.asarray(used.housekeeping[name], np.float64) for name in parameters.regressors}
+    columns = {
+        name: regressor_of(name, np.asarray(used.housekeeping[source_of(name)], np.float64), used.h_nt)
+        for name in parameters.regressors
+    }
     plain = Observations(np.zeros(n), used.h_nt, np.ones(n), None, np.ones(n), columns)
     return CorrectedReadings(used.t_utc, corrected_nt(plain, parameters))

@@ -77,7 +77,7 @@ def _estimation_options(function: F) -> F:
         click.option("--method", type=click.Choice(METHODS), help="Estimator.  [default: scalar]"),
         click.option("--time-offset", type=click.Choice(TIME_OFFSETS), help="Clock offset.  [default: auto]"),
         click.option("--time-drift", is_flag=True, default=None, help="Estimate a drift of the clock as well."),
-        click.option("--regressors", help="Columns that move the bias: a,b,.. or auto.  [default: none]"),
+        click.option("--regressors", help="Columns that move the bias: a,b,.. or auto; a*h: the scale."),
         click.option("--robust", type=click.Choice(ROBUST_LOSSES), help="Loss.  [default: none]"),
         click.option("--noise-model", type=click.Choice(NOISE_MODELS), help="[default: none]"),
         click.option("--noise", "noise_nt", type=float, help="Noise of a component, nT, where it is known."),

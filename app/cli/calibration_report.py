@@ -60,12 +60,17 @@ def _parameter_table(calibration: Calibration) -> Table:
 
 def _labels(parameters: Parameters) -> Iterator[tuple[str, str]]:
     """Yield the label and the number format of every parameter, in the order of their names."""
+    from magcal_core.regressor_columns import is_of_scale, source_of
+
     for label, unit, shown in GROUPS:
         for axis in "123":
             yield f"{label} {axis}" + (f", {unit}" if unit else ""), shown
     for name in parameters.regressors:
         for axis in "123":
-            yield f"bias {axis} per {name}, nT", "{:,.3f}"
+            if is_of_scale(name):
+                yield f"scale {axis} per {source_of(name)}", "{:.7f}"
+            else:
+                yield f"bias {axis} per {name}, nT", "{:,.3f}"
     if parameters.time_offset_s is not None:
         yield "clock offset, s", "{:.3f}"
 

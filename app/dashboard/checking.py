@@ -9,11 +9,12 @@ import numpy as np
 
 from app.errors import ConflictError
 from app.records import ParameterSetRecord, ParametersRecord
-from magcal_core.calibration.fit import TIME_REGRESSOR, Observations, residuals_nt
+from magcal_core.calibration.fit import Observations, residuals_nt
 from magcal_core.calibration.result import Parameters
 from magcal_core.field.models import field_model
 from magcal_core.orbit import Orbit
 from magcal_core.reference import with_reference
+from magcal_core.regressor_columns import TIME_REGRESSOR, source_of
 from magcal_core.samples import Floats, Samples
 
 MOST_SAMPLES: Final = 20_000
@@ -31,7 +32,7 @@ def residual_under(samples: Samples, orbits: Sequence[Orbit], record: ParameterS
         There is no reference field for the samples.
     """
     parameters = _parameters(record["parameters"])
-    if TIME_REGRESSOR in parameters.regressors:
+    if TIME_REGRESSOR in map(source_of, parameters.regressors):
         raise ConflictError("the parameter set drifts with the time since its own data: it says nothing of others")
     used = samples.take(samples.is_used)
     thinned = used.take(slice(None, None, max(len(used) // MOST_SAMPLES, 1)))

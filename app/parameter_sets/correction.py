@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_core.errors import Fault, TelemetryFormatError
+from magcal_core.regressor_columns import is_of_scale, missing_columns, source_of
 from magcal_core.samples import Floats, Samples
 from magcal_core.sensor import SensorModel
 
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """The sensor of a parameter set and how its bias follows the regressors, nT per unit."""
+    """The sensor of a parameter set and how its bias, nT per unit, and its scale, per unit, follow the regressors."""
 
     sensor: SensorModel
     regressors: Mapping[str, Floats]
@@ -31,18 +32,22 @@ class Correction:
 
     def apply(self, samples: Samples) -> Samples:
         """Return ``samples`` with corrected readings in the base frame, nT."""
-        return replace(samples, h_nt=self.sensor.correct(samples.h_nt - self._drift_nt(samples)))
+        drift_nt, share = self._terms(samples)
+        return replace(samples, h_nt=self.sensor.correct(samples.h_nt * (1.0 - share) - drift_nt))
 
     def unapply(self, samples: Samples) -> Samples:
         """Return ``samples``, whose readings are corrected, with raw readings, nT."""
-        return replace(samples, h_nt=self.sensor.apply(samples.h_nt) + self._drift_nt(samples))
+        drift_nt, share = self._terms(samples)
+        return replace(samples, h_nt=(self.sensor.apply(samples.h_nt) + drift_nt) / (1.0 - share))
 
-    def _drift_nt(self, samples: Samples) -> Floats:
-        missing = [name for name in self.regressors if name not in samples.housekeeping]
+    def _terms(self, samples: Samples) -> tuple[Floats, Floats]:
+        """Return what the bias and, as a share of the raw reading, the scale add to each reading, shape (n, 3)."""
+        missing = missing_columns(self.regressors, samples.housekeeping)
         if missing:
             faults = [Fault(f"column {name}", "missing; the parameter set has it as a regressor") for name in missing]
             raise TelemetryFormatError("the telemetry lacks a regressor of the parameter set", faults)
-        drift_nt = np.zeros_like(samples.h_nt)
-        for name, change_nt in self.regressors.items():
-            drift_nt += samples.housekeeping[name][:, None] * change_nt
-        return drift_nt
+        drift_nt, share = np.zeros_like(samples.h_nt), np.zeros_like(samples.h_nt)
+        for name, change in self.regressors.items():
+            added = share if is_of_scale(name) else drift_nt
+            added += samples.housekeeping[source_of(name)][:, None] * change
+        return drift_nt, share

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from magcal_core.regressor_columns import is_of_scale, source_of
 from magcal_core.sensor import SensorModel
 
 B_NT: Final = (21000.0, -14000.0, 33000.0)
@@ -44,15 +45,23 @@ class Worked:
 
 def formula(convention: str, regressors: Sequence[str]) -> str:
     """Return how a reading in nT is corrected in ``convention``, with the names that the export has."""
-    drift = "".join(f" + regressors.{name} * column {name}" for name in regressors)
-    return f"{FORMULAS[convention]}; offset = bias_nt{drift}; raw, offset, corrected in nT"
+    drift = "".join(f" + regressors.{name} * {_column(name)}" for name in regressors)
+    axes = ", regressors of raw axis by axis" if any(map(is_of_scale, regressors)) else ""
+    return f"{FORMULAS[convention]}; offset = bias_nt{drift}; raw, offset, corrected in nT{axes}"
+
+
+def _column(name: str) -> str:
+    return f"column {source_of(name)} * raw" if is_of_scale(name) else f"column {name}"
 
 
 def worked(sensor: SensorModel, regressors: Mapping[str, Sequence[float]]) -> Worked:
     """Return a reading with few digits near `B_NT`, corrected."""
-    drift_nt = COLUMN * np.sum([np.asarray(change_nt) for change_nt in regressors.values()] or [np.zeros(3)], axis=0)
-    raw_nt = np.round(sensor.apply(B_NT) + drift_nt, 1)
-    corrected_nt = sensor.correct(raw_nt - drift_nt)
+    drift_nt, share = np.zeros(3), np.zeros(3)
+    for name, change in regressors.items():
+        added = share if is_of_scale(name) else drift_nt
+        added += COLUMN * np.asarray(change)
+    raw_nt = np.round((sensor.apply(B_NT) + drift_nt) / (1.0 - share), 1)
+    corrected_nt = sensor.correct(raw_nt * (1.0 - share) - drift_nt)
     return Worked(raw_nt.tolist(), corrected_nt.tolist(), float(np.linalg.norm(corrected_nt)))
 
 

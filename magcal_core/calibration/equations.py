@@ -18,6 +18,7 @@ from magcal_core.calibration.jacobians import (
 )
 from magcal_core.calibration.kernels import accumulate
 from magcal_core.calibration.result import Parameters
+from magcal_core.errors import OptionError
 from magcal_core.sensor import matrix_of_parameters
 
 Floats = NDArray[np.float64]
@@ -100,6 +101,8 @@ def _raw(observations: Observations) -> Standardised:
     """Return the regressors as they are, in the form that the kernels' helpers take."""
     names = tuple(observations.regressors)
     columns = [observations.regressors[name] for name in names]
+    if any(column.ndim != 1 for column in columns):
+        raise OptionError("regressors: those of the scale have no normal equations of their own")
     stacked = np.column_stack(columns) if columns else np.zeros((len(observations), 0))
     return Standardised(names, np.ascontiguousarray(stacked), np.zeros(len(names)), np.ones(len(names)))
 

@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 from magcal_core.calibration.corrections import correct, corrected_lengths, lengths
 from magcal_core.calibration.result import Candidate, Parameters
 from magcal_core.errors import OptionError, OrbitMissingError, TelemetryValueError, TooFewSamplesError, UnitsError
+from magcal_core.regressor_columns import TIME_REGRESSOR, is_of_scale, regressor_of, source_of, term_nt
 from magcal_core.samples import Samples, selects_all
 from magcal_core.sensor import inverse_lower, matrix_of_parameters
 from magcal_core.units import NT_PER_UNIT
 
 Floats = NDArray[np.float64]
 
-TIME_REGRESSOR: Final = "time"
-"""Name of the regressor that is no column: hours since the first sample."""
 UNIT_RATIO: Final = (0.1, 10.0)
 """Where median |h| / |B| may lie: outside, the unit is wrong."""
 
@@ -49,8 +48,8 @@ class Observations:
         True field in the magnetometer's base frame, nT.
     weights : shape (n,)
         Prior weight of each sample; zero equals absent.
-    regressors : name -> shape (n,)
-        Columns that may move the bias.
+    regressors : name -> shape (n,), or (n, 3)
+        Columns that may move the bias, and columns times the reading, which move the scale.
     rate_nt_s : shape (n, m)
         Fall of `b_nt` by each unknown of the clock (offset, s; drift, s/s): m = 0 where none is estimated.
     rate_base_nt_s : shape (n, m, 3), optional
@@ -160,15 +159,17 @@ def _own(array: Floats) -> Floats:
 
 
 def _regressor(samples: Samples, name: str, t_s: Floats) -> Floats:
-    if name == TIME_REGRESSOR and name not in samples.housekeeping:
-        return t_s / 3600.0
-    if name not in samples.housekeeping:
+    source = source_of(name)
+    if source == TIME_REGRESSOR and source not in samples.housekeeping:
+        return regressor_of(name, t_s / 3600.0, samples.h_nt)
+    if source not in samples.housekeeping:
         known = ", ".join([TIME_REGRESSOR, *samples.housekeeping])
-        raise OptionError(f"no housekeeping column {name!r}; there are {known}")
-    column = np.asarray(samples.housekeeping[name], dtype=np.float64)
+        raise OptionError(f"no housekeeping column {source!r}; there are {known}")
+    column = np.asarray(samples.housekeeping[source], dtype=np.float64)
     if np.isfinite(column).all() and np.ptp(column) == 0.0:
-        raise OptionError(f"regressor {name!r} is constant: it cannot be told from the bias")
-    return column
+        moved = "scale" if is_of_scale(name) else "bias"
+        raise OptionError(f"regressor {name!r} is constant: it cannot be told from the {moved}")
+    return regressor_of(name, column, samples.h_nt)
 
 
 def check_units(h_nt: Floats, b_nt: Floats) -> None:
@@ -353,7 +354,7 @@ def _lower(parameters: Parameters) -> Floats:
 def readings_without(regressors: Mapping[str, Floats], h_nt: Floats, parameters: Parameters) -> Floats:
     """Return ``h_nt``, shape (n, 3), nT, less what ``parameters`` say that the ``regressors`` add; itself for none."""
     for name, coefficients in parameters.regressors.items():
-        h_nt = h_nt - regressors[name][:, None] * coefficients
+        h_nt = h_nt - term_nt(regressors[name], coefficients)
     return h_nt
 
 

@@ -166,7 +166,8 @@ def _at_mean(fit: Fit, errors: Parameters, observations: Observations, honest: H
     carry = np.eye(len(names))
     for name, column in observations.regressors.items():
         for axis in range(3):
-            carry[axis, names.index(f"regressors.{name}[{axis}]")] = float(column.mean())
+            mean = column[:, axis].mean() if column.ndim == 2 else column.mean()
+            carry[axis, names.index(f"regressors.{name}[{axis}]")] = float(mean)
     covariance = honest.covariance[: len(names), : len(names)]
     return errors.with_vector(np.sqrt(np.abs(np.diag(carry @ covariance @ carry.T))))
 

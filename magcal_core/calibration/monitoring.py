@@ -13,6 +13,7 @@ from magcal_core.calibration.consistency import ParameterDifference
 from magcal_core.calibration.equations import block_equations
 from magcal_core.calibration.fit import BlockScores, Observations, residuals_nt
 from magcal_core.calibration.result import Parameters, Reason
+from magcal_core.calibration.scale_terms import without_scale_terms
 from magcal_core.calibration.uncertainty import covered_s, honest_covariance
 from magcal_core.errors import InputError, OptionError
 from magcal_core.sensor import matrix_of_parameters
@@ -144,8 +145,10 @@ def moments_of(observations: Observations, parameters: Parameters, *, is_vector:
     missing = [name for name in parameters.regressors if name not in observations.regressors]
     if missing:
         raise OptionError(f"the session has no column {missing[0]!r}, which the active parameters need")
-    o = observations.with_regressors(list(parameters.regressors))
-    at = Parameters(parameters.bias_nt, parameters.scale, parameters.nonorthogonality_deg, None, parameters.regressors)
+    # Whether the scale's changes have changed in turn is not asked.
+    bare, known = without_scale_terms(observations, parameters)
+    o = bare.with_regressors(list(known.regressors))
+    at = Parameters(known.bias_nt, known.scale, known.nonorthogonality_deg, None, known.regressors)
     whole, blocks = block_equations(o, at, is_vector=is_vector, blocks=_BLOCKS)
     r = residuals_nt(o, at, is_vector)
     used = o.weights > 0

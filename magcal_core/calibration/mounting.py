@@ -13,6 +13,7 @@ from magcal_core.calibration.affine import Affine, fit_affine
 from magcal_core.calibration.fit import Observations
 from magcal_core.calibration.result import Parameters
 from magcal_core.errors import OptionError
+from magcal_core.regressor_columns import term_nt
 from magcal_core.sensor import SensorModel, lower_triangular_gauge
 
 Floats = NDArray[np.float64]
@@ -101,7 +102,7 @@ def mounting_of(observations: Observations, parameters: Parameters) -> Mounting:
         return Mounting("free", _FREE)
     h_nt = observations.h_nt
     for name, slope in parameters.regressors.items():
-        h_nt = h_nt - observations.regressors[name][:, None] * slope
+        h_nt = h_nt - term_nt(observations.regressors[name], slope)
     b_nt = observations.b_base_nt
     if _is_flat(b_nt):
         return Mounting("free", f"the field stayed in a plane of the attitude's frame; {_FREE}")

@@ -21,6 +21,7 @@ from magcal_core.calibration.equations import equations_at, scalar_responses
 from magcal_core.calibration.error_budget import ReferenceSource, along_track_km
 from magcal_core.calibration.fit import Observations, scaled_inverse
 from magcal_core.calibration.result import Parameters
+from magcal_core.calibration.scale_terms import without_scale_terms
 from magcal_core.orbit.earth_fixed import itrf_to_gcrf_fast
 from magcal_core.samples import Samples, Times
 
@@ -71,9 +72,11 @@ def reference_shifts(
         along_km, how = along_track_km(samples, source)
         late = along_km * _along_nt_per_km(source, t_utc, r_km, _directions(samples, rows))
         errors.append(("orbit_along_track", f"{along_km:.2g} km ({how})", late))
-    sizes = np.stack([error_nt for _, _, error_nt in errors])
-    moves = _vector_moves if source.is_vector else _scalar_moves
     shifts = np.zeros((len(errors), len(parameters.names)))
+    sizes = np.stack([error_nt for _, _, error_nt in errors])
+    # What the reference's errors do to the scale's changes is not told: they follow a column, not the place.
+    some, parameters = without_scale_terms(some, parameters)
+    moves = _vector_moves if source.is_vector else _scalar_moves
     found = moves(some, parameters, few, source.field.field_itrf_nt(t_utc, r_km), sizes)
     shifts[:, : found.shape[1]] = found
     return tuple(ReferenceShift(name, why, shift) for (name, why, _), shift in zip(errors, shifts, strict=True))

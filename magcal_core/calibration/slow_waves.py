@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.calibration.fit import Fit, Observations, readings_without
+from magcal_core.regressor_columns import term_nt
 from magcal_core.sensor import inverse_lower, matrix_of_parameters
 
 Floats = NDArray[np.float64]
@@ -155,17 +156,19 @@ def _channels(o: Observations, fit: Fit, step: int) -> Iterator[_Channel]:
     residual, root = fit.residuals_nt[::step], np.sqrt(fit.weights[::step])
     matrix = matrix_of_parameters(fit.parameters.scale, np.deg2rad(fit.parameters.nonorthogonality_deg))
     reading = readings_without(o.regressors, o.h_nt, fit.parameters)
-    ones, columns = np.ones((len(o), 1)), [column[:, None] for column in o.regressors.values()]
+    ones, columns = np.ones((len(o), 1)), list(o.regressors.values())
     if residual.ndim == 1:
-        corrected = (reading - fit.parameters.bias_nt) @ inverse_lower(matrix).T
+        lower = inverse_lower(matrix)
+        corrected = (reading - fit.parameters.bias_nt) @ lower.T
         along = corrected / np.linalg.norm(corrected, axis=1)[:, None]
         rows, entries = np.tril_indices(3)
-        base = [along[:, rows] * reading[:, entries], along, o.rate_nt_s, *(along * column for column in columns)]
+        base = [along[:, rows] * reading[:, entries], along, o.rate_nt_s]
+        base += [term_nt(column, np.ones(3)) * (along @ lower) for column in columns]
         yield _weighed(residual, np.column_stack(base), along, root)
         return
     field_nt, along_axes = o.require_vector(), residual @ matrix.T
     for axis in range(3):
-        base = [field_nt[:, : axis + 1], ones, *columns]
+        base = [field_nt[:, : axis + 1], ones, *(term_nt(column, np.ones(3))[:, axis] for column in columns)]
         if o.rate_base_nt_s is not None:
             base.append(o.rate_base_nt_s @ matrix[axis])
         yield _weighed(along_axes[:, axis], np.column_stack(base), ones, root)

@@ -23,8 +23,10 @@ export function symbol(name) {
   return group.startsWith("regressors.") ? `${group.slice(11)} ${index + 1}` : `${LETTER[group]}${index + 1}`;
 }
 
-export const unit = (name) => UNIT[split(name).group] ?? `nT per ${split(name).group.slice(11)}`;
-export const digits = (name) => DIGITS[split(name).group] ?? 3;
+const isOfScale = (group) => group.endsWith("*h");
+const per = (regressor) => (isOfScale(regressor) ? `per ${regressor.slice(0, -2)}` : `nT per ${regressor}`);
+export const unit = (name) => UNIT[split(name).group] ?? per(split(name).group.slice(11));
+export const digits = (name) => DIGITS[split(name).group] ?? (isOfScale(split(name).group) ? 7 : 3);
 
 const named = (name) => ({ name, value: symbol, heads: true });
 const number = (name, value, places, more = {}) => ({ name, numeric: true, value, show: (row) => fixed(value(row), places(row)), ...more });
