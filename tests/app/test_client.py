@@ -1,6 +1,5 @@
 """The client and the commands over it, against a real server and real network faults."""
 
-import asyncio
 import json
 import os
 import socket
@@ -18,6 +17,7 @@ from app.client import Client, JobFailedError, Record, ServiceAnswerError, Servi
 from app.client_async import AsyncClient
 from app.demo.mission import SESSIONS, simulated, tle_text
 from magcal_core.telemetry import read_samples, write_samples
+from tests.apart import run_apart
 
 ROOT = Path(__file__).resolve().parents[2]
 CSV = b"time,bx,by,bz,ref_b\n2026-01-01T00:00:00Z,20000,1,2,20000\n2026-01-01T00:00:10Z,20001,1,2,20000\n"
@@ -106,7 +106,7 @@ def sent_awaiting(url: str, key: str, satellite: str) -> Record:
         async with AsyncClient(url, key) as client:
             return await client.upload(satellite, "mgm", CSV, "text/csv")
 
-    return asyncio.run(send())
+    return run_apart(send())
 
 
 @pytest.mark.parametrize("send", [sent_through, sent_awaiting])
@@ -139,7 +139,7 @@ def test_the_async_client_walks_the_whole_way(service, satellite):
             corrected = await client.apply(str(found["id"]), telemetry, "text/csv")
             return found, await client.apply(str(found["id"]), corrected, "text/csv", inverse=True)
 
-    found, back = asyncio.run(way())
+    found, back = run_apart(way())
     assert found["method"] == "vector"
     assert shares[-1] == 1.0
     np.testing.assert_allclose(read_samples(back).h_nt, clean.h_nt, atol=1e-6)

@@ -25,6 +25,7 @@ from app.sessions.tables import Chunk
 from app.sessions.upload import Upload
 from app.settings import Settings
 from app.store import digest, open_store, raw_key
+from tests.apart import run_apart
 
 
 @pytest.fixture(params=["sqlite", pytest.param("postgres", marks=pytest.mark.postgres)])
@@ -101,7 +102,7 @@ def test_uploads_that_wait_together_share_one_commit_and_all_are_kept(keeper, da
     commits = []
     event.listen(database.engine, "commit", commits.append)
     bodies = [body(number) for number in range(20)]
-    kept = asyncio.run(kept_at_once(keeper, [asked(content) for content in bodies]))
+    kept = run_apart(kept_at_once(keeper, [asked(content) for content in bodies]))
     assert all(isinstance(one, Kept) and one.is_new for one in kept), kept
     assert len({one.session.id for one in kept}) == len(bodies)
     assert [stored(database, content) for content in bodies] == bodies
@@ -109,7 +110,7 @@ def test_uploads_that_wait_together_share_one_commit_and_all_are_kept(keeper, da
 
 
 def test_equal_bytes_among_them_are_one_session(keeper, database):
-    kept = asyncio.run(kept_at_once(keeper, [asked(body(0))] * 10))
+    kept = run_apart(kept_at_once(keeper, [asked(body(0))] * 10))
     assert sorted(one.is_new for one in kept) == [False] * 9 + [True]
     assert len({one.session.id for one in kept}) == 1
     with database.read() as session:
@@ -120,7 +121,7 @@ def test_one_that_cannot_be_kept_leaves_the_others_theirs(keeper, database):
     """An Idempotency-Key with two bodies: whichever is written second is refused, alone."""
     uploads = [asked(body(number)) for number in range(6)]
     uploads[2:2] = [asked(body(10), "pass"), asked(body(11), "pass")]
-    kept = asyncio.run(kept_at_once(keeper, uploads))
+    kept = run_apart(kept_at_once(keeper, uploads))
     assert sorted(isinstance(one, IdempotencyMismatchError) for one in kept[2:4]) == [False, True]
     others = [*kept[:2], *kept[4:]]
     assert all(isinstance(one, Kept) and one.is_new for one in others), others
@@ -138,7 +139,7 @@ def test_what_its_client_has_left_before_its_turn_is_not_kept(keeper, database):
         await first
         await keeper.keep(asked(body(2)))
 
-    asyncio.run(leave())
+    run_apart(leave())
     with database.read() as session:
         found = session.scalars(select(Chunk.sha256)).all()
     assert set(found) == {digest(body(0)), digest(body(2))}

@@ -119,8 +119,10 @@ def test_the_login_leads_to_no_other_site(service, root, target):
     assert (answer.status_code, answer.headers["location"]) == (303, "/")
 
 
-@pytest.mark.parametrize("text", ["<script>alert(1)</script>", '"><img src=x onerror=alert(1)>', "{{7*7}}", "${7*7}"])
+@pytest.mark.parametrize(
+    "text", ["<script>alert(1)</script>", '"><img src=x onerror=alert(1)>', "{{1337*7919}}", "${1337*7919}"]
+)
 def test_text_in_an_address_never_becomes_markup(signed_in, text):
     page = signed_in.get("/satellites/" + httpx2.URL("http://x").copy_with(path=f"/{text}").raw_path.decode()[1:])
     assert text not in page.text or "{" in text
-    assert "49" not in page.text or "{{7*7}}" in page.text or "${7*7}" in page.text
+    assert "10587703" not in page.text
