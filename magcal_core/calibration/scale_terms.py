@@ -82,16 +82,12 @@ class WithScaleTerms:
         near = settings.near
         for _ in range(_ROUNDS):
             plain, _ = without_scale_terms(observations, _known(slopes))
-            found = self.inner.fit(plain, replace(settings, near=near))
-            linear = _Linear.of(plain, found.parameters, found.weights, _columns(observations, names), self.is_vector)
-            steps = linear.steps(found.residuals_nt)
-            slopes = {name: slopes[name] + step for name, step in zip(names, steps, strict=True)}
-            if linear.moved(steps) <= _STILL * found.sigma_nt + _ROUNDING * float(plain.b_nt.mean()):
-                break
-            near = found
-        else:
-            raise NotObservableError("the slopes of the scale do not settle", [f"regressors.{names[0]}"])
-        return _widened(found, linear, slopes)
+            near = self.inner.fit(plain, replace(settings, near=near))
+            linear = _Linear.of(plain, near.parameters, near.weights, _columns(observations, names), self.is_vector)
+            slopes, is_still = linear.stepped(slopes, near.residuals_nt, near.sigma_nt)
+            if is_still:
+                return _widened(near, linear, slopes)
+        raise _unsettled(names)
 
     def refit(self, observations: Observations, settings: FitSettings, near: Fit) -> Parameters:
         """Return the estimate from a part of the data of ``near``, or a resample of it: same loss, same noise.
@@ -111,11 +107,14 @@ class WithScaleTerms:
             plain, _ = without_scale_terms(observations, _known(slopes))
             found = self.inner.refit(plain, settings, near)
             linear = _Linear.of(plain, found, weights, _columns(observations, names), self.is_vector)
-            steps = linear.steps(residuals_nt(plain, found, self.is_vector))
-            slopes = {name: slopes[name] + step for name, step in zip(names, steps, strict=True)}
-            if linear.moved(steps) <= _STILL * near.sigma_nt + _ROUNDING * float(plain.b_nt.mean()):
+            slopes, is_still = linear.stepped(slopes, residuals_nt(plain, found, self.is_vector), near.sigma_nt)
+            if is_still:
                 return replace(found, regressors={**found.regressors, **slopes})
-        raise NotObservableError("the slopes of the scale do not settle", [f"regressors.{names[0]}"])
+        raise _unsettled(names)
+
+
+def _unsettled(names: Sequence[str]) -> NotObservableError:
+    return NotObservableError("the slopes of the scale do not settle", [f"regressors.{name}" for name in names])
 
 
 def _of_scale(observations: Observations) -> list[str]:
@@ -175,12 +174,16 @@ class _Channel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Linear:
-    """The residuals about a fit; ``sign``: -1 where the derivatives are the model's, not the residual's."""
+    """The residuals about a fit; ``sign``: -1 where the derivatives are the model's, not the residual's.
+
+    ``count``: number of slopes, three a regressor. ``field_nt``: mean |B|, nT.
+    """
 
     channels: tuple[_Channel, ...]
     weights: Floats
     sign: float
     count: int
+    field_nt: float
 
     @classmethod
     def of(
@@ -188,7 +191,21 @@ class _Linear:
     ) -> _Linear:
         z = Standardised.of(tuple(o.regressors), list(o.regressors.values()), len(o))
         made = _of_vector if is_vector else _of_scalar
-        return cls(tuple(made(o, parameters, z, terms)), weights, -1.0 if is_vector else 1.0, 3 * len(terms))
+        return cls(
+            tuple(made(o, parameters, z, terms)),
+            weights,
+            -1.0 if is_vector else 1.0,
+            3 * len(terms),
+            float(o.b_nt.mean()),
+        )
+
+    def stepped(
+        self, slopes: Mapping[str, Floats], residuals: Floats, sigma_nt: float
+    ) -> tuple[dict[str, Floats], bool]:
+        """Return the slopes one step on, and whether residuals of the noise ``sigma_nt`` hardly moved by it."""
+        steps = self.steps(residuals)
+        moved = {name: slope + step for (name, slope), step in zip(slopes.items(), steps, strict=True)}
+        return moved, self.moved(steps) <= _STILL * sigma_nt + _ROUNDING * self.field_nt
 
     def steps(self, residuals: Floats) -> Floats:
         """Return the step of every slope, shape (s, 3), that the method's own unknowns follow at once."""

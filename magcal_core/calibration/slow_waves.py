@@ -127,7 +127,7 @@ def wave_columns(t_s: Floats, periods_s: tuple[float, ...]) -> dict[str, Floats]
     for i, period_s in enumerate(periods_s):
         phase = 2.0 * np.pi * t_s / period_s
         for name, column in (("cos", np.cos(phase)), ("sin", np.sin(phase))):
-            made[f"wave_{i}_{name}"] = column - column.mean()
+            made[f"bias wave {i}, {name}"] = column - column.mean()
     return made
 
 

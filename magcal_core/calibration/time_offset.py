@@ -115,7 +115,9 @@ def fit_with_clock(
     if periods_s:
         # Samples that determine a sensor may not determine one whose bias waves.
         with suppress(NotObservableError):
-            return _clock_fit(*_beside_waves(search, unmoved, found, periods_s), periods_s)
+            waving = _beside_waves(search, unmoved, found, periods_s)
+            if waving[0].is_converged:
+                return _clock_fit(*waving, periods_s)
     return _clock_fit(found, _honest(found.fit, found.observations), ())
 
 
@@ -164,13 +166,14 @@ def _beside_waves(
     found = waving.begin(replace(unmoved, regressors={**unmoved.regressors, **columns}), plain.clock)
     m = len(found.clock)
     clock_covariance = _honest(found.fit, found.observations).covariance[-m:, -m:]
-    here = search.at(found.clock @ search.shapes, search.rows)
+    shift_s = found.clock @ search.shapes
+    here = search.at(shift_s, search.rows)
     fit = search.estimator.fit(here, search.settings)
     near = replace(search.settings, near=fit)
     moves = []
     for shape in search.shapes:
         step = _RATE_STEP_S / float(np.abs(shape).max())
-        ends = [search.at((found.clock @ search.shapes) + sign * step * shape, search.rows) for sign in (1.0, -1.0)]
+        ends = [search.at(shift_s + sign * step * shape, search.rows) for sign in (1.0, -1.0)]
         later, sooner = (search.estimator.fit(end, near).parameters.vector for end in ends)
         moves.append((later - sooner) / (2.0 * step))
     known = _honest(fit, here)

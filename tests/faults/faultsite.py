@@ -18,8 +18,8 @@ from app.demo.mission import tle_text
 TRIALS = int(os.environ.get("MAGCAL_FAULT_TRIALS", "1"))
 SEED = int(os.environ.get("MAGCAL_FAULT_SEED", "1"))
 CSV = {"content-type": "text/csv"}
-START_S = 240.0
-"""How long a process may take to start on a machine that has much else to do."""
+START_S = 60.0
+"""How long a process may take to start."""
 
 Process = subprocess.Popen[bytes] | Forked
 

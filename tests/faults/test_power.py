@@ -134,7 +134,7 @@ def play(disk: Disk, name: str, text: str, path: str, root: Path) -> None:
             disk.write(path, at, strings(text)[0])
 
 
-@pytest.mark.timeout(300 + 10 * UPLOADS)
+@pytest.mark.timeout(300 + 10 * (UPLOADS - 20))
 @pytest.mark.parametrize("store", ["database", "folder"])
 def test_what_is_acknowledged_is_on_the_disk_and_not_only_on_its_way(tmp_path: Path, telemetry: bytes, store: str):
     """Each upload is found after a power loss at the moment of its acknowledgement; none could be otherwise."""
