@@ -9,7 +9,7 @@ reaches the Cramer-Rao bound. More than it no method can find.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +33,8 @@ from magcal_core.simulation import Disturbances, Simulation, simulate
 IS_STUDY = True
 PASSES = 200
 OFFSETS_S = (0.0, 0.5, 1.0)
+SMALLEST_S, LARGEST_S = 0.5, 30.0
+"""Offsets that are drawn lie between these, either way."""
 WAVE_PERIOD_S = 5640.0
 _STEPS = np.array([1.0] * 3 + [1e-4] * 3 + [1e-3] * 3)
 """Steps of the derivatives by bias, nT, scale, and angle, deg."""
@@ -78,6 +80,18 @@ class Found:
         """Return the probability with which an ideal test of the same level finds ``offset_s``."""
         away, limit = offset_s / self.least_error_s, float(ndtri(SIGNIFICANCE / 2.0))
         return float(ndtr(limit + away) + ndtr(limit - away))
+
+
+def evenly_s(seed: int) -> float:
+    """Return the offset of pass number ``seed``, s: all from `SMALLEST_S` to `LARGEST_S` are equally likely."""
+    random = np.random.default_rng([seed, 1])
+    return float(random.choice([-1.0, 1.0]) * random.uniform(SMALLEST_S, LARGEST_S))
+
+
+def by_logarithm_s(seed: int) -> float:
+    """Return the offset of pass number ``seed``, s: every factor from `SMALLEST_S` to `LARGEST_S` equally likely."""
+    random = np.random.default_rng([seed, 2])
+    return float(random.choice([-1.0, 1.0]) * np.exp(random.uniform(np.log(SMALLEST_S), np.log(LARGEST_S))))
 
 
 def find(kind: Kind, offset_s: float, seed: int) -> Found | None:
@@ -147,8 +161,10 @@ def _rate_nt_s(made: Simulation, orbit: Orbit, *, is_vector: bool) -> Floats:
 
 
 def figures() -> Iterator[Figure]:
-    """Yield the share of passes in which each offset is found."""
+    """Yield the share of passes in which offsets are found: drawn ones, over all kinds and each, then given ones."""
     passes = int(os.environ.get("MAGCAL_CLOCK_PASSES", PASSES))
+    for law, drawn_s in (("evenly", evenly_s), ("by their logarithm", by_logarithm_s)):
+        yield from _drawn(f"offsets of {SMALLEST_S:g} to {LARGEST_S:g} s, drawn {law}", drawn_s, passes)
     for kind in KINDS:
         for offset_s in OFFSETS_S:
             found = [one for one in (find(kind, offset_s, seed) for seed in range(passes)) if one is not None]
@@ -167,3 +183,19 @@ def figures() -> Iterator[Figure]:
                 sure = 100.0 * float(np.mean([one.is_significant for one in able]))
                 what = f"{kind.name}: {offset_s} s, found where the pass says that it shows"
                 yield Figure("clock", what, sure, "%", ">= 95", sure >= 95.0, f"{len(able)} passes")
+
+
+def _drawn(what: str, drawn_s: Callable[[int], float], passes: int) -> Iterator[Figure]:
+    """Yield the share of passes in which the offset that ``drawn_s`` gives each is found: over all kinds, and each."""
+    shares, ideals = [], []
+    for kind in KINDS:
+        pairs = [(drawn_s(seed), find(kind, drawn_s(seed), seed)) for seed in range(passes)]
+        found = [(offset_s, one) for offset_s, one in pairs if one is not None]
+        shares.append(100.0 * float(np.mean([one.is_significant for _, one in found])))
+        ideals.append(100.0 * float(np.mean([one.ideal_power(offset_s) for offset_s, one in found])))
+    every = float(np.mean(shares))
+    note = f"an ideal test {np.mean(ideals):.1f} %; {passes} passes of each of {len(KINDS)} kinds"
+    yield Figure("clock", f"all kinds: {what}, found", every, "%", ">= 95", every >= 95.0, note)
+    for kind, share, ideal in zip(KINDS, shares, ideals, strict=True):
+        note = f"an ideal test {ideal:.1f} %; {passes} passes"
+        yield Figure("clock", f"{kind.name}: {what}, found", share, "%", ">= 95", share >= 95.0, note)
