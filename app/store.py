@@ -201,6 +201,11 @@ def residuals_key(parameter_set_id: str) -> str:
     return f"residuals/{parameter_set_id}"
 
 
+def moments_key(parameter_set_id: str) -> str:
+    """Return the key of the moments of a parameter set's fit."""
+    return f"moments/{parameter_set_id}"
+
+
 def series_key(job_id: str) -> str:
     """Return the key of a job's series."""
     return f"series/{job_id}"

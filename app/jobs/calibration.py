@@ -125,7 +125,7 @@ class CalibrationKind:
             created_at=utc_now(),
         )
         sets = ParameterSetRepository(session, SYSTEM)
-        sets.add(row, list(session.scalars(links)), found.blobs["residuals"], store)
+        sets.add(row, list(session.scalars(links)), found.blobs, store)
         return {"parameter_set_id": row.id}
 
 

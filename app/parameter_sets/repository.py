@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
+from typing import Final
 
 from sqlalchemy import ColumnElement, Select, case, or_, select
 from sqlalchemy.orm import Session
@@ -16,7 +17,10 @@ from app.parameter_sets.schemas import ParameterSetQuery, ParameterSetRead
 from app.parameter_sets.tables import Activation, ParameterSet, ParameterSetSession
 from app.satellites.repository import within_reach
 from app.satellites.tables import Magnetometer
-from app.store import Store, residuals_key
+from app.store import Store, digest, moments_key, residuals_key
+
+KEYS: Final[Mapping[str, Callable[[str], str]]] = {"residuals": residuals_key, "moments": moments_key}
+"""What is kept beside a parameter set's row, and under which key."""
 
 
 class ParameterSetRepository:
@@ -26,9 +30,12 @@ class ParameterSetRepository:
         self.session = session
         self.caller = caller
 
-    def add(self, row: ParameterSet, session_ids: Sequence[str], residuals: bytes, store: Store) -> None:
-        """Keep a new parameter set with its residual table."""
-        row.residuals_sha256 = store.put(self.session, residuals_key(row.id), residuals)
+    def add(self, row: ParameterSet, session_ids: Sequence[str], blobs: Mapping[str, bytes], store: Store) -> None:
+        """Keep a new parameter set with its ``residuals`` and, where its method leaves any, its ``moments``."""
+        packed = {name: store.pack(content, digest(content)) for name, content in blobs.items()}
+        row.residuals_sha256 = packed["residuals"].sha256
+        row.moments_sha256 = packed["moments"].sha256 if "moments" in packed else None
+        store.put_all(self.session, [(KEYS[name](row.id), one) for name, one in packed.items()])
         self.session.add(row)
         self.session.flush()
         self.session.add_all(ParameterSetSession(parameter_set_id=row.id, session_id=one) for one in session_ids)

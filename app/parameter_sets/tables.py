@@ -41,6 +41,7 @@ class ParameterSet(Base):
     data_until: Mapped[datetime]
     record: Mapped[dict[str, object]] = mapped_column(JsonColumn)
     residuals_sha256: Mapped[str] = mapped_column(String(64))
+    moments_sha256: Mapped[str | None] = mapped_column(String(64))
     created_at: Mapped[datetime]
 
 

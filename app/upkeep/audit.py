@@ -15,7 +15,7 @@ from app.migrate import require_head
 from app.parameter_sets.tables import ParameterSet, ParameterSetSession
 from app.sessions.repository import identity
 from app.sessions.tables import Chunk, TelemetrySession
-from app.store import Store, columns_key, raw_key, residuals_key, series_key
+from app.store import Store, columns_key, moments_key, raw_key, residuals_key, series_key
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,10 +83,12 @@ class _Auditor:
                 self.findings.append(Finding("count", row.id, "the session's samples are not those of its chunks"))
 
     def results(self) -> None:
-        """Look at every parameter set: its residuals, its sessions, its job."""
+        """Look at every parameter set: its residuals, its moments, its sessions, its job."""
         for row in self._session.scalars(select(ParameterSet).execution_options(yield_per=200)):
             self.parameter_sets += 1
             self.object(residuals_key(row.id), row.residuals_sha256)
+            if row.moments_sha256 is not None:
+                self.object(moments_key(row.id), row.moments_sha256)
             link = ParameterSetSession
             inputs = select(link.session_id).where(link.parameter_set_id == row.id)
             if self._session.scalars(inputs).first() is None:

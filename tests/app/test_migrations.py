@@ -28,6 +28,8 @@ from app.keys.repository import SYSTEM, KeyRepository
 from app.migrate import alembic_config, current, head, make_first_key, migrate, upgrade
 from app.orbits.parsing import parse_message
 from app.orbits.repository import OrbitRepository
+from app.parameter_sets.repository import ParameterSetRepository
+from app.parameter_sets.tables import ParameterSet
 from app.satellites.tables import Magnetometer, Satellite
 from app.sessions.repository import Parsed, SessionRepository, Writing
 from app.sessions.upload import Upload
@@ -116,6 +118,13 @@ def fill(database: Database, settings: Settings) -> None:
         jobs = [JobRepository(session, SYSTEM).submit(body, queue) for _ in range(3)]
         session.flush()
         jobs[0].state, jobs[0].result = "succeeded", {"parameter_set_id": "1" * 32}
+        found = ParameterSet(
+            id="1" * 32, satellite_id="dekart", magnetometer_id="m", job_id=jobs[0].id, status="candidate",
+            grade="weak", method="scalar", data_from=row.data_from, data_until=row.data_until, record={"a": 1.5},
+            created_at=utc_now(),
+        )  # fmt: skip
+        blobs = {"residuals": b"residuals", "moments": b"moments"}
+        ParameterSetRepository(session, SYSTEM).add(found, [row.id], blobs, store)
 
 
 @pytest.mark.parametrize("revision", REVISIONS)
@@ -125,6 +134,7 @@ def test_real_rows_survive_the_way_down_to_any_revision_and_up_again(database, s
     fill(database, settings)
     before = rows_of(database)
     assert all(before[name] for name in ("satellite", "magnetometer", "orbit", "session", "chunk", "blob_part", "job"))
+    assert [one["moments_sha256"] for one in before["parameter_set"]] == [digest(b"moments")]
     migrate(database, revision)
     there = rows_of(database)
     for name, rows in there.items():
