@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import unicodedata
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Annotated, Final, Generic, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, StringConstraints
 from pydantic_core import PydanticCustomError
 
 MAX_NAME: Final = 200
+CORE_TIMES: Final = (np.datetime64("1678-01-01", "us"), np.datetime64("2262-01-01", "us"))
 Item = TypeVar("Item")
 
 
@@ -34,6 +38,15 @@ class Record(BaseModel):
 def utc_text(time: datetime) -> str:
     """Return ``time`` in ISO 8601 with ``Z`` and microseconds."""
     return time.astimezone(UTC).replace(tzinfo=None).isoformat(timespec="microseconds") + "Z"
+
+
+def core_times(times: Sequence[datetime]) -> NDArray[np.datetime64]:
+    """Return ``times``, which are in UTC, as the core has them, to the nanosecond: those beyond its years at their end.
+
+    numpy alone takes a year that nanoseconds do not reach for another one, centuries away, and says nothing.
+    """
+    t_utc = np.array([time.replace(tzinfo=None) for time in times], "datetime64[us]")
+    return np.asarray(np.clip(t_utc, *CORE_TIMES), "datetime64[ns]")
 
 
 def parse_utc(value: object) -> object:

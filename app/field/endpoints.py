@@ -8,6 +8,7 @@ from fastapi import APIRouter
 from app.auth import Reader
 from app.body import StrictJsonRoute
 from app.field.schemas import FieldRead, FieldRequest
+from app.schemas import core_times
 from magcal_core.field.models import field_model
 from magcal_core.orbit.frames import convert_position
 
@@ -17,7 +18,7 @@ router = APIRouter(route_class=StrictJsonRoute, tags=["field"])
 @router.post("/field")
 def compute_field(body: FieldRequest, _caller: Reader) -> FieldRead:
     """Compute the reference field at given times and places, nT."""
-    t_utc = np.array([time.replace(tzinfo=None) for time in body.time], "datetime64[ns]")
+    t_utc = core_times(body.time)
     r_km = np.array(body.position_km)
     r_itrf_km = r_km if body.frame == "ITRF" else convert_position(t_utc, r_km, body.frame, "ITRF")
     model = field_model(body.model, body.max_degree)

@@ -14,7 +14,7 @@ from app.idempotency import KeyHeader
 from app.keys.repository import Caller
 from app.resources import Blobs, Config, Db
 from app.satellites.repository import SatelliteRepository
-from app.schemas import Page, Slug
+from app.schemas import Page, Slug, core_times
 from app.sessions import judging
 from app.sessions.ingest import Asked, Ingest
 from app.sessions.repository import SessionRepository, samples_of
@@ -180,7 +180,7 @@ def get_samples(
     samples = samples_of(columns)
     for bound, keeps in ((query.since, np.greater_equal), (query.until, np.less_equal)):
         if bound is not None:
-            samples = samples.take(keeps(samples.t_utc, np.datetime64(bound.replace(tzinfo=None), "ns")))
+            samples = samples.take(keeps(samples.t_utc, core_times([bound])))
     return table_response(write_samples(samples, form, with_flags=query.flags), form, f"session-{session_id}")
 
 

@@ -189,6 +189,18 @@ def test_samples_can_be_cut_in_time_and_bear_their_flags(api, satellite):
     assert cut["magcal_flags"] == [0, 0, 0]
 
 
+@pytest.mark.parametrize("year", ["0001", "2600", "9999"])
+def test_a_bound_beyond_the_years_of_the_core_keeps_what_it_says(api, satellite, year):
+    """Nanoseconds reach from 1677 to 2262; a bound beyond is before or after every sample, as its year says."""
+    session_id = upload(api, satellite, rows(10)).json()["id"]
+    far = f"{year}-06-01T00:00:00Z"
+    counts = [
+        len(api.get(f"/sessions/{session_id}/samples", params={bound: far, "format": "json"}).json().get("bx", []))
+        for bound in ("since", "until")
+    ]
+    assert counts == ([10, 0] if year == "0001" else [0, 10])
+
+
 def test_an_open_session_takes_chunks_in_any_order_and_once_each(api, satellite):
     opened = api.post(f"/satellites/{satellite}/sessions", params={"magnetometer": "mgm", "open": "true"})
     assert (opened.status_code, opened.json()["state"]) == (201, "open")

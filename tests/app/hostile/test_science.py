@@ -103,6 +103,13 @@ def test_the_field_is_computed_where_the_model_holds_and_nowhere_else(api, body,
         assert np.isfinite(answer.json()["field_nt"]).all()
 
 
+@pytest.mark.parametrize("time", ["0001-06-01T00:00:00Z", "2500-06-01T00:00:00Z", "9999-06-01T00:00:00Z"])
+def test_a_time_that_nanoseconds_do_not_reach_is_no_time_of_the_model(api, time):
+    """584.5 years too late is not 1915, for which the model has a field."""
+    answer = api.post("/field", json={"time": [time], "position_km": [[6871.2, 0.0, 0.0]]})
+    assert (answer.status_code, answer.json()["code"]) == (422, "model_range")
+
+
 def test_the_field_at_the_poles_is_finite_and_continuous_to_a_nanotesla(api):
     """A metre from the axis, on either side: the field changes by far less than 1 nT."""
     places = [[x, 0.0, z] for z in (6871.2, -6871.2) for x in (-1e-3, 0.0, 1e-3)]
