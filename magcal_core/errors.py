@@ -149,6 +149,12 @@ class TleEpochError(InputError):
     code = "tle_epoch"
 
 
+class MomentsError(InputError):
+    """A file does not hold the moments of a fit, or holds them in a form of another version."""
+
+    code = "moments"
+
+
 class ModelRangeError(InputError):
     """Time or place is outside a model's validity."""
 

@@ -12,26 +12,27 @@ from numpy.typing import NDArray
 from magcal_core.calibration import ESTIMATORS
 from magcal_core.calibration.bootstrap import bootstrap
 from magcal_core.calibration.error_budget import ReferenceSource, error_budget
-from magcal_core.calibration.fit import Estimator, Fit, FitSettings, FittedReadings, Observations
-from magcal_core.calibration.flags import jumps, saturated, spikes
+from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations
 from magcal_core.calibration.judgement import Circumstances, Judgement, extras_of, judgement_of
+from magcal_core.calibration.moments import MAX_COLUMNS, FitMoments, moments_of_fit
+from magcal_core.calibration.moments import METHODS as MOMENTS_METHODS
 from magcal_core.calibration.monitoring import ActiveSet
 from magcal_core.calibration.mounting import mounting_of
 from magcal_core.calibration.reference_errors import ReferenceShift, reference_shifts
 from magcal_core.calibration.regressors import Ablation, ablation_of, choose_regressors, usable_columns
 from magcal_core.calibration.residual_warnings import residual_warnings
-from magcal_core.calibration.result import Calibration, ResidualTable
+from magcal_core.calibration.result import Calibration
 from magcal_core.calibration.scale_terms import WithScaleTerms
 from magcal_core.calibration.steps import steps_of
 from magcal_core.calibration.suspicions import ClockFinding, Suspicion, suspicions
-from magcal_core.calibration.time_offset import AUTO_AGE_DAYS, ClockFit, fit_with_clock
+from magcal_core.calibration.time_offset import AUTO_AGE_DAYS, ClockFit, fit_with_clock, with_rates
 from magcal_core.errors import FrameError, OptionError
 from magcal_core.options import CalibrationOptions, OptionValues
 from magcal_core.orbit import Orbit
 from magcal_core.reference import TELEMETRY_POSITION
 from magcal_core.referenced import Referenced
-from magcal_core.regressor_columns import TIME_REGRESSOR, regressor_of, source_of
-from magcal_core.samples import SampleFlag, Samples
+from magcal_core.residual_table import residual_table
+from magcal_core.samples import Samples
 from magcal_core.sensor import SensorModel
 
 __all__ = ["CalibrationOptions", "calibrate"]
@@ -46,6 +47,7 @@ def calibrate(
     options: CalibrationOptions | None = None,
     *,
     active: ActiveSet | None = None,
+    with_moments: bool = False,
     progress: Progress | None = None,
     **overrides: Unpack[OptionValues],
 ) -> Calibration:
@@ -61,6 +63,8 @@ def calibrate(
         How to calibrate; ``overrides`` replace single ones, by the names of `CalibrationOptions`.
     active : ActiveSet
         The calibration that is in force; the verdict tells where the new one differs.
+    with_moments : bool
+        Whether the result keeps the moments of the fit, from which it can be made again without the samples.
     progress : callable
         Is told the share of the work that is done, from 0 to 1.
 
@@ -98,7 +102,8 @@ def calibrate(
     what = (estimate.estimator, estimate.observations, estimate.fit, estimate.settings)
     judgement = judgement_of(*what, circumstances, None if estimate.clock is None else estimate.clock.honest)
     tell(0.95)
-    calibration = _assemble(referenced, estimate, judgement, left_out, suspected)
+    moments = _moments(referenced, estimate, judgement) if with_moments else None
+    calibration = _assemble(referenced, estimate, judgement, left_out, suspected, moments)
     tell(1.0)
     return calibration
 
@@ -238,8 +243,37 @@ def _reference_shifts(referenced: Referenced, estimate: _Estimate) -> tuple[Refe
     return reference_shifts(used, weighed, estimate.fit.parameters, _source(referenced, estimate))
 
 
-def _assemble(
-    referenced: Referenced, estimate: _Estimate, judgement: Judgement, left_out: int, suspected: Sequence[Suspicion]
+def _moments(referenced: Referenced, estimate: _Estimate, judgement: Judgement) -> FitMoments | None:
+    """Return the moments of the fit, with every column that all its samples have; None where its method has none."""
+    if estimate.estimator.name not in MOMENTS_METHODS:
+        return None
+    o, samples, clock = estimate.observations, referenced.samples, estimate.clock
+    whole = {name: np.asarray(samples.housekeeping[name], np.float64)[estimate.usable] for name in samples.housekeeping}
+    names = [name for name in usable_columns(whole, np.ones(len(o), bool)) if np.isfinite(whole[name]).all()]
+    others = {name: whole[name] for name in names if name not in o.regressors}
+    fitted = len(estimate.fit.parameters.regressors)
+    offered = dict(list(others.items())[: max(MAX_COLUMNS - fitted, 0)])
+    o = replace(o, regressors={**o.regressors, **offered})
+    if clock is None and referenced.has_orbit:
+
+        def at(shift_s: Floats, rows: slice) -> Observations:
+            return referenced.shifted(estimate.usable, (), shift_s, rows)
+
+        o = with_rates(o, at)
+    is_clock_fitted = clock is not None and clock.drift_s_per_day is None and not clock.wave_periods_s
+    if clock is not None and clock.drift_s_per_day is not None:
+        o = _still(o)
+    t_utc = samples.t_utc[estimate.usable]
+    return moments_of_fit(o, estimate.fit, t_utc, judgement.reference, is_clock_fitted=is_clock_fitted)
+
+
+def _assemble(  # noqa: PLR0917
+    referenced: Referenced,
+    estimate: _Estimate,
+    judgement: Judgement,
+    left_out: int,
+    suspected: Sequence[Suspicion],
+    moments: FitMoments | None,
 ) -> Calibration:
     fit, samples = estimate.fit, referenced.samples
     parameters = fit.parameters
@@ -291,10 +325,11 @@ def _assemble(
         observability=judgement.observability,
         verdict=judgement.verdict,
         warnings=(*_warnings(referenced, estimate, judgement), *unseen_devices),
-        residuals=_residual_table(samples, estimate),
+        residuals=residual_table(samples, estimate.usable, estimate.observations, estimate.fit),
         options=estimate.options.to_dict(),
         orbits=referenced.report.orbits,
         extras=extras,
+        moments=moments,
     )
 
 
@@ -334,7 +369,7 @@ def _warnings(referenced: Referenced, estimate: _Estimate, judgement: Judgement)
     if clock is not None and estimate.clock is None:
         found.append(
             f"time_offset_not_used: {clock.offset_s:.2f} +- {clock.offset_error_s:.2f} s is not significant; data like "
-            f"these show {clock.detectable_s:.2g} s and more"
+            f"these show {clock.test.detectable_s:.2g} s and more"
         )
     if clock is not None and clock.wave_periods_s:
         periods = " and ".join(f"{period_s / 60.0:.0f}" for period_s in clock.wave_periods_s)
@@ -345,56 +380,3 @@ def _warnings(referenced: Referenced, estimate: _Estimate, judgement: Judgement)
     if judgement.cross_validated_rms_nt is None:
         found.append("not_cross_validated: a part of the data alone does not determine the parameters")
     return tuple(found)
-
-
-def _residual_table(samples: Samples, estimate: _Estimate) -> ResidualTable:
-    """Return the residual of every sample, the left-out ones included where they have a reading and a reference."""
-    usable, observations, fit = estimate.usable, estimate.observations, estimate.fit
-    flags = _flagged(samples, estimate)
-    readings = FittedReadings(samples.h_nt, _columns(samples, estimate), fit.parameters)
-    model_nt = _placed(observations.b_nt, usable, samples.b_ref_magnitude_nt)
-    if estimate.estimator.is_vector and samples.b_ref_base_nt is not None:
-        residual = readings.corrected_base_nt
-        residual -= _placed(observations.require_vector(), usable, samples.b_ref_base_nt)
-    else:
-        residual = readings.corrected_nt
-        residual -= model_nt
-    weight = _placed(fit.weights, usable, 0.0)
-    return ResidualTable(samples.t_utc, model_nt, residual, weight, flags, readings, samples.r_itrf_km)
-
-
-def _placed(values: Floats, usable: NDArray[np.bool_], others: Floats | float | None) -> Floats:
-    """Return ``values`` of the ``usable`` samples among the ``others``; the values themselves where all are usable."""
-    if len(values) == len(usable):
-        return values
-    filled = np.empty((len(usable), *values.shape[1:]))
-    filled[:] = np.nan if others is None else others
-    filled[usable] = values
-    return filled
-
-
-def _flagged(samples: Samples, estimate: _Estimate) -> NDArray[np.uint16]:
-    """Return the samples' flags with the spikes, jumps and saturation that the fit shows."""
-    is_whole = bool(estimate.usable.all())
-    flagged = samples
-    for flag, found in (
-        (SampleFlag.SPIKE, spikes(estimate.fit.residuals_nt)),
-        (SampleFlag.JUMP, jumps(estimate.fit.residuals_nt)),
-        (SampleFlag.SATURATED, saturated(estimate.observations.h_nt)),
-    ):
-        where = found
-        if not is_whole:
-            where = np.zeros(len(samples), dtype=bool)
-            where[estimate.usable] = found
-        flagged = flagged.flagged(flag, where)
-    return flagged.flags
-
-
-def _columns(samples: Samples, estimate: _Estimate) -> dict[str, Floats]:
-    """Return the regressors of every sample: NaN where one has none."""
-    t_s = (samples.t_utc - samples.t_utc[estimate.usable][0]) / np.timedelta64(1, "ns") * 1e-9
-    columns = {TIME_REGRESSOR: t_s / 3600.0, **samples.housekeeping}
-    return {
-        name: regressor_of(name, np.asarray(columns[source_of(name)], np.float64), samples.h_nt)
-        for name in estimate.fit.parameters.regressors
-    }

@@ -39,6 +39,14 @@ class Bootstrap:
     low: Parameters
     high: Parameters
 
+    @classmethod
+    def of(cls, at: Parameters, values: Floats, failed: int, block_samples: int) -> Bootstrap:
+        """Return the scatter of ``values``, shape (m, p), one row a replicate, of parameters like ``at``."""
+        errors = values.std(axis=0, ddof=1) if len(values) > 1 else np.full(values.shape[1], np.nan)
+        low, high = np.quantile(values, [0.025, 0.975], axis=0)
+        made = (at.with_vector(one) for one in (errors, low, high))
+        return cls(len(values) + failed, failed, block_samples, *made)
+
     def to_dict(self) -> dict[str, object]:
         """Return the bootstrap as the records have it; ``low`` and ``high`` bound the middle 95 %."""
         return {
@@ -67,7 +75,7 @@ def bootstrap(  # noqa: PLR0917
     """
     n, cells = len(observations), len(near.blocks.starts)
     in_a_row = max(1, round(block_samples * cells / n))
-    counts = _drawn(cells, in_a_row, replicates, np.random.default_rng(seed))
+    counts = drawn(cells, in_a_row, replicates, np.random.default_rng(seed))
     lengths = np.diff([*near.blocks.starts, n])
     at = replace(near.parameters, time_offset_s=None)
     still = replace(observations, rate_nt_s=np.zeros((0, 0)), rate_base_nt_s=None)
@@ -79,11 +87,7 @@ def bootstrap(  # noqa: PLR0917
     moves, failed = _settled(moves_of(near, counts, is_vector=estimator.is_vector), refit)
     if failed == replicates:
         raise EstimationError(f"bootstrap: none of {replicates} replicates determines the parameters")
-    values = at.vector + moves
-    errors = values.std(axis=0, ddof=1) if len(values) > 1 else np.full(values.shape[1], np.nan)
-    low, high = np.quantile(values, [0.025, 0.975], axis=0)
-    block = max(1, round(n * in_a_row / cells))
-    return Bootstrap(replicates, failed, block, at.with_vector(errors), at.with_vector(low), at.with_vector(high))
+    return Bootstrap.of(at, at.vector + moves, failed, max(1, round(n * in_a_row / cells)))
 
 
 def _settled(moves: Floats, refit: Callable[[int], Floats]) -> tuple[Floats, int]:
@@ -103,7 +107,7 @@ def _settled(moves: Floats, refit: Callable[[int], Floats]) -> tuple[Floats, int
     return np.delete(settled, failed, axis=0), len(failed)
 
 
-def _drawn(cells: int, in_a_row: int, replicates: int, random: np.random.Generator) -> Floats:
+def drawn(cells: int, in_a_row: int, replicates: int, random: np.random.Generator) -> Floats:
     """Return how often each of ``cells`` was drawn, shape (replicates, cells), so many ``in_a_row`` at a time."""
     first = random.integers(0, cells, (replicates, max(1, round(cells / in_a_row))))
     at = (first[:, :, None] + np.arange(in_a_row)) % cells

@@ -36,11 +36,21 @@ def moves_of(near: Fit, counts: Floats, *, is_vector: bool) -> Floats:
     """
     blocks, clock = near.blocks, near.clock.size
     q = blocks.scores.shape[1] - clock
-    normals = np.tensordot(counts, blocks.normals[:, :q, :q], 1)
-    scores = counts @ blocks.scores[:, :q]
+    steps = steps_of(blocks.scores[:, :q], blocks.normals[:, :q, :q], counts)
+    return np.asarray((-1.0 if is_vector else 1.0) * steps @ blocks.to_parameters[: -clock or None, :q].T)
+
+
+def steps_of(scores: Floats, normals: Floats, counts: Floats) -> Floats:
+    """Return the Gauss-Newton steps, shape (m, q), where blocks weigh ``counts``, shape (m, blocks).
+
+    ``scores``, shape (blocks, q), and ``normals``, shape (blocks, q, q): with the derivative of the residual in them.
+    NaN, all of them, where one row of ``counts`` leaves nothing that determines some unknown.
+    """
+    normals = np.tensordot(counts, normals, 1)
+    scores = counts @ scores
     size = np.sqrt(np.maximum(np.diagonal(normals, axis1=1, axis2=2), 1e-300))
     try:
         steps = np.linalg.solve(normals / (size[:, :, None] * size[:, None, :]), (scores / size)[:, :, None])[:, :, 0]
     except np.linalg.LinAlgError:
         steps = np.full_like(scores, np.nan)
-    return np.asarray((1.0 if is_vector else -1.0) * (steps / size) @ blocks.to_parameters[: -clock or None, :q].T)
+    return np.asarray(-steps / size)

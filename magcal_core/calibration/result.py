@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from magcal_core.calibration.moments import FitMoments
 
 Floats = NDArray[np.float64]
 
@@ -227,6 +230,8 @@ class ResidualTable:
 class Calibration:
     """Result of one calibration; `to_dict` gives the parameter set of the service's records.
 
+    ``moments``: what the fit can be made again from, where they were asked for and the method has them.
+
     ``extras`` holds results that only some calibrations have (``first_order``, ``ablation``, ...), under the names
     that the record gives them.
     """
@@ -255,6 +260,7 @@ class Calibration:
     options: Mapping[str, object]
     orbits: Sequence[Mapping[str, object]] = ()
     extras: Mapping[str, object] = field(default_factory=dict)
+    moments: FitMoments | None = None
 
     def to_dict(self) -> dict[str, object]:
         """Return the parameter set as `service` records have it, without the ids that only the service knows."""

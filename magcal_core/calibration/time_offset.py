@@ -47,12 +47,43 @@ At = Callable[[Floats, slice], Observations]
 """Seconds to add to the time of each sample of a slice -> those samples with the reference at those times."""
 
 
+@dataclass(frozen=True, slots=True)
+class ClockTest:
+    """Whether data show an offset of the clock: the offset and its standard error, s."""
+
+    offset_s: float
+    error_s: float
+
+    @property
+    def p_value(self) -> float:
+        """Probability of an offset so large where there is none."""
+        from scipy.special import ndtr
+
+        return float(2.0 * ndtr(-abs(self.offset_s) / max(self.error_s, 1e-300)))
+
+    @property
+    def detectable_s(self) -> float:
+        """Offset, s, that the test finds in 95 % of the sessions that determine it as well as this one."""
+        from scipy.special import ndtri
+
+        return float(-(ndtri(SIGNIFICANCE / 2.0) + ndtri(0.05))) * self.error_s
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the test as the records have it."""
+        return {
+            "offset_s": self.offset_s,
+            "standard_error_s": self.error_s,
+            "p_value": self.p_value,
+            "is_significant": self.p_value < SIGNIFICANCE,
+            "detectable_s": self.detectable_s,
+        }
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ClockFit:
     """A fit with its clock: offset and, where asked for, drift, each with its standard error, of ``honest``.
 
-    ``p_value``: probability of an offset so large where there is none. ``wave_periods_s``: periods, s, of the waves of
-    the bias that were unknowns beside it.
+    ``wave_periods_s``: periods, s, of the waves of the bias that were unknowns beside it.
     """
 
     fit: Fit
@@ -62,21 +93,18 @@ class ClockFit:
     offset_error_s: float
     drift_s_per_day: float | None
     drift_error_s_per_day: float | None
-    p_value: float
     is_converged: bool
     wave_periods_s: tuple[float, ...] = ()
 
     @property
     def is_significant(self) -> bool:
         """Whether the data show an offset."""
-        return self.is_converged and self.p_value < SIGNIFICANCE
+        return self.is_converged and self.test.p_value < SIGNIFICANCE
 
     @property
-    def detectable_s(self) -> float:
-        """Offset, s, that the test finds in 95 % of the sessions that determine it as well as this one."""
-        from scipy.special import ndtri
-
-        return float(-(ndtri(SIGNIFICANCE / 2.0) + ndtri(0.05))) * self.offset_error_s
+    def test(self) -> ClockTest:
+        """The test of the offset."""
+        return ClockTest(self.offset_s, self.offset_error_s)
 
     @property
     def is_bounded(self) -> bool:
@@ -86,13 +114,10 @@ class ClockFit:
     def to_dict(self) -> dict[str, object]:
         """Return the clock as the records have it."""
         return {
-            "offset_s": self.offset_s,
-            "standard_error_s": self.offset_error_s,
+            **self.test.to_dict(),
+            "is_significant": self.is_significant,
             "drift_s_per_day": self.drift_s_per_day,
             "drift_standard_error_s_per_day": self.drift_error_s_per_day,
-            "p_value": self.p_value,
-            "is_significant": self.is_significant,
-            "detectable_s": self.detectable_s,
             "wave_periods_s": list(self.wave_periods_s),
         }
 
@@ -121,13 +146,17 @@ def fit_with_clock(
     return _clock_fit(found, _honest(found.fit, found.observations), ())
 
 
+def with_rates(observations: Observations, at: At) -> Observations:
+    """Return the observations with the fall of their reference by the clock's offset; ``at``: of the same samples."""
+    n = len(observations)
+    later, sooner = (at(np.full(n, step_s), slice(None)) for step_s in (_RATE_STEP_S, -_RATE_STEP_S))
+    return _Expansion.about(observations, later, sooner).moved(0.0, np.ones((1, n)))
+
+
 def _clock_fit(found: _Found, honest: HonestCovariance, periods_s: tuple[float, ...]) -> ClockFit:
     """Return what was ``found``, with the test of its offset."""
-    from scipy.special import ndtr
-
     clock = found.clock
     errors = np.sqrt(np.diag(honest.covariance))[-len(clock) :]
-    score = abs(clock[0]) / max(errors[0], 1e-300)
     fit = replace(found.fit, parameters=replace(found.fit.parameters, time_offset_s=float(clock[0])))
     has_drift = len(clock) > 1
     return ClockFit(
@@ -138,7 +167,6 @@ def _clock_fit(found: _Found, honest: HonestCovariance, periods_s: tuple[float, 
         offset_error_s=float(errors[0]),
         drift_s_per_day=float(clock[1] * 86400.0) if has_drift else None,
         drift_error_s_per_day=float(errors[1] * 86400.0) if has_drift else None,
-        p_value=float(2.0 * ndtr(-score)),
         is_converged=found.is_converged,
         wave_periods_s=periods_s,
     )

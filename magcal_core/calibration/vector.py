@@ -148,23 +148,33 @@ def _equations(
     own[: q - m, : q - m] = rows_jacobian(rows.matrix, z)
     own[q - m :, q - m :] = np.eye(m)
     starts = block_starts(len(observations))
-    scores, normals = np.zeros((len(starts), q)), np.zeros((len(starts), q, q))
     rates = observations.rate_base_nt_s if m else None
     rate_columns = np.zeros((0, len(observations))) if rates is None else rates.reshape(len(rates), 3 * m).T
     columns = np.concatenate([rows.b_nt.T, rows.z.T, rate_columns])
-    c = len(columns)
     moments = block_sums(columns, np.ascontiguousarray(rows.residuals_nt.T), rows.weights, starts)
+    scores, normals = axis_sums(moments, rows.matrix, 1.0 / rows.sigma_nt**2, k, m)
+    return own, normals.sum(axis=0), BlockScores(scores, normals / rows.softening_slope, starts, own)
+
+
+def axis_sums(moments: Floats, matrix: Floats, shares: Floats, k: int, m: int) -> tuple[Floats, Floats]:
+    """Return the scores, shape (blocks, q), and normal matrices, shape (blocks, q, q), of the three rows.
+
+    ``moments``: of (B, k regressors, three columns for each of the m unknowns of the clock, 1, residuals) of each
+    block; ``matrix``: T; ``shares``: weight of each row, shape (3,). The scores have the derivative of the model in
+    them.
+    """
+    q, c = 9 + 3 * k + m, 3 + k + 3 * m
+    scores, normals = np.zeros((len(moments), q)), np.zeros((len(moments), q, q))
     for axis in range(3):
         carry = np.zeros((c + 1, axis + 2 + k + m))
         places = [*range(axis + 1), c, *range(3, 3 + k)]
         carry[places, range(len(places))] = 1.0
         for j in range(m):
-            carry[3 + k + 3 * j : 6 + k + 3 * j, len(places) + j] = -rows.matrix[axis]
+            carry[3 + k + 3 * j : 6 + k + 3 * j, len(places) + j] = -matrix[axis]
         at = np.array([*_positions(axis, k), *range(q - m, q)])
-        share = 1.0 / rows.sigma_nt[axis] ** 2
-        normals[:, at[:, None], at] += share * (carry.T @ moments[:, : c + 1, : c + 1] @ carry)
-        scores[:, at] += share * (moments[:, : c + 1, c + 1 + axis] @ carry)
-    return own, normals.sum(axis=0), BlockScores(scores, normals / rows.softening_slope, starts, own)
+        normals[:, at[:, None], at] += shares[axis] * (carry.T @ moments[:, : c + 1, : c + 1] @ carry)
+        scores[:, at] += shares[axis] * (moments[:, : c + 1, c + 1 + axis] @ carry)
+    return scores, normals
 
 
 def _positions(axis: int, k: int) -> Sequence[int]:
