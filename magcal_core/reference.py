@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.attitude.rotation import attitude_matrix
+from magcal_core.attitude.rotation import rotate_rows
 from magcal_core.calibration.corrections import lengths
 from magcal_core.errors import OrbitMissingError
 from magcal_core.field import FieldModel
+from magcal_core.field_along import field_along, field_at, positions_km
 from magcal_core.orbit import Orbit
 from magcal_core.orbit.choose import MAX_AGE_DAYS, NO_ORBIT, check_age, choose_orbits
-from magcal_core.orbit.earth_fixed import itrf_to_gcrf_fast
 from magcal_core.samples import Floats, SampleFlag, Samples, Times
 
 Mask = NDArray[np.bool_]
+Rows = NDArray[np.intp] | slice
 
 TELEMETRY_REFERENCE: Final = "telemetry-reference"
 TELEMETRY_POSITION: Final = "telemetry-position"
 _ROWS: Final = 1 << 18
 """Samples whose field is taken at a time: more would keep vectors that nobody asks for."""
+_ROWS_INTERPOLATED: Final = 1 << 14
+"""The same where it is interpolated: these vectors stay in the cache."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,11 +91,41 @@ def with_reference(
         return _from_telemetry(samples), ReferenceReport(TELEMETRY_REFERENCE, (), field.name)
     t_true = samples.t_utc if not time_offset_s else samples.t_utc + np.timedelta64(round(time_offset_s * 1e9), "ns")
     if samples.r_itrf_km is not None:
-        has_place = np.asarray(np.isfinite(samples.r_itrf_km).all(axis=1))
+        has_place = finite_rows(samples.r_itrf_km)
         if has_place.all() or not orbits:
             report = ReferenceReport(TELEMETRY_POSITION, (), field.name)
-            return _with_field(samples, t_true, samples.r_itrf_km, has_place, field), report
+            parts = [_Part.of(None, np.flatnonzero(has_place))]
+            return _with_field(samples, t_true, samples.r_itrf_km, parts, field), report
     return _from_orbits(samples, t_true, orbits, field, max_age_days=max_orbit_age_days)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """Samples in order whose positions one orbit gives; None: the telemetry."""
+
+    orbit: Orbit | None
+    rows: Rows
+
+    @classmethod
+    def of(cls, orbit: Orbit | None, rows: NDArray[np.intp]) -> _Part:
+        """Return the part of these rows, as a slice where they follow each other: that copies nothing."""
+        is_run = len(rows) > 0 and int(rows[-1]) - int(rows[0]) == len(rows) - 1
+        return cls(orbit, slice(int(rows[0]), int(rows[-1]) + 1) if is_run else rows)
+
+    def positions_km(self, t_utc: Times) -> Floats:
+        """Return the orbit's positions at ``t_utc``, shape (n, 3), ITRF, km."""
+        if self.orbit is None:
+            raise OrbitMissingError("the telemetry has no positions at other times than its own")
+        return positions_km(self.orbit, t_utc)
+
+    def chunks(self, size: int) -> Iterator[Rows]:
+        """Yield the rows, ``size`` at a time."""
+        if not isinstance(self.rows, slice):
+            for start in range(0, len(self.rows), size):
+                yield self.rows[start : start + size]
+            return
+        for start in range(self.rows.start, self.rows.stop, size):
+            yield slice(start, min(start + size, self.rows.stop))
 
 
 def _from_orbits(
@@ -104,25 +137,26 @@ def _from_orbits(
     max_age_days: float,
 ) -> tuple[Samples, ReferenceReport]:
     """Return the samples with position and field, the positions that the telemetry lacks from the orbits."""
-    r_itrf_km, warnings, entries = _places(samples, t_true, orbits, max_age_days)
+    r_itrf_km, parts, warnings, entries = _places(samples, t_true, orbits, max_age_days)
     models = {str(entry["model"]) for entry in entries}
-    if samples.r_itrf_km is not None and np.isfinite(samples.r_itrf_km).all(axis=1).any():
+    if any(part.orbit is None for part in parts):
         models.add(TELEMETRY_POSITION)
-    has_place = np.asarray(np.isfinite(r_itrf_km).all(axis=1))
+    has_place = finite_rows(r_itrf_km)
     if not has_place.any():
         raise OrbitMissingError(_not_covered(orbits, samples.t_utc))
     if gap := np.count_nonzero(~has_place):
         warnings.append(f"orbit_gap: no orbit covers {gap} of {len(samples)} samples")
     report = ReferenceReport("+".join(sorted(models)), tuple(entries), field.name, tuple(warnings))
     cleared = samples.flags & ~np.where(has_place, np.uint16(SampleFlag.NO_REFERENCE), np.uint16(0))
-    return _with_field(replace(samples, flags=cleared), t_true, r_itrf_km, has_place, field), report
+    return _with_field(replace(samples, flags=cleared), t_true, r_itrf_km, parts, field), report
 
 
 def _places(
     samples: Samples, t_true: Times, orbits: Sequence[Orbit], max_age_days: float
-) -> tuple[Floats, list[str], list[Mapping[str, object]]]:
-    """Return the positions, shape (n, 3), km, NaN where no orbit covers; warnings; and an entry for each orbit used."""
+) -> tuple[Floats, list[_Part], list[str], list[Mapping[str, object]]]:
+    """Return the positions, shape (n, 3), km, NaN where no orbit covers; whence; warnings; an entry for each orbit."""
     entries: list[Mapping[str, object]] = []
+    parts: list[_Part] = []
     if samples.r_itrf_km is None:
         choice = choose_orbits(orbits, t_true)
         warnings = check_age(choice, orbits, max_age_days)
@@ -130,28 +164,23 @@ def _places(
         if alone != NO_ORBIT and np.all(choice.index == alone):
             entries.append(_entry(alone, orbits[alone], choice.age_days))
             del choice
-            return _positions_km(orbits[alone], t_true), warnings, entries
+            whole = _Part(orbits[alone], slice(0, len(samples)))
+            return positions_km(orbits[alone], t_true), [whole], warnings, entries
         r_itrf_km, rows = np.full((len(samples), 3), np.nan), np.arange(len(samples))
     else:
         r_itrf_km = samples.r_itrf_km.copy()
-        rows = np.flatnonzero(~np.isfinite(r_itrf_km).all(axis=1))
+        is_known = finite_rows(r_itrf_km)
+        if is_known.any():
+            parts.append(_Part.of(None, np.flatnonzero(is_known)))
+        rows = np.flatnonzero(~is_known)
         choice = choose_orbits(orbits, t_true[rows])
         warnings = check_age(choice, orbits, max_age_days)
     for i, chosen in choice.by_orbit():
-        r_itrf_km[rows[chosen]] = _positions_km(orbits[i], t_true[rows[chosen]])
+        part = _Part.of(orbits[i], rows[chosen])
+        r_itrf_km[part.rows] = positions_km(orbits[i], t_true[part.rows])
+        parts.append(part)
         entries.append(_entry(i, orbits[i], choice.age_days[chosen]))
-    return r_itrf_km, warnings, entries
-
-
-def _positions_km(orbit: Orbit, t_utc: Times) -> Floats:
-    """Return the ITRF positions at ``t_utc``, shape (n, 3), km: a time that is there twice changes no other's.
-
-    Orbits choose by the number of times whether to interpolate, so that each time is asked for once.
-    """
-    if np.all(t_utc[1:] > t_utc[:-1]):
-        return orbit.position_itrf_km(t_utc)
-    times, of_sample = np.unique(t_utc, return_inverse=True)
-    return orbit.position_itrf_km(times)[of_sample]
+    return r_itrf_km, parts, warnings, entries
 
 
 def _entry(index: int, orbit: Orbit, age_days: Floats) -> Mapping[str, object]:
@@ -169,18 +198,18 @@ def _not_covered(orbits: Sequence[Orbit], t_utc: Times) -> str:
     return f"none of the {len(orbits)} ephemerides covers the telemetry, {first}Z to {last}Z"
 
 
-def _with_field(samples: Samples, t_utc: Times, r_itrf_km: Floats, has_place: Mask, field: FieldModel) -> Samples:
+def _with_field(
+    samples: Samples, t_utc: Times, r_itrf_km: Floats, parts: Sequence[_Part], field: FieldModel
+) -> Samples:
     """Return the samples with position and field; ``t_utc`` is the true time of each."""
     n, q = len(samples), samples.q_base_gcrf
-    magnitude_nt = np.empty(n)
-    b_gcrf_nt, b_base_nt = (samples.b_ref_gcrf_nt, samples.b_ref_base_nt) if q is None else np.empty((2, n, 3))
-    for start in range(0, n, _ROWS):
-        rows = slice(start, start + _ROWS)
-        b_itrf_nt = _field_nt(t_utc[rows], r_itrf_km[rows], has_place[rows], field)
-        magnitude_nt[rows] = lengths(b_itrf_nt)
+    magnitude_nt = np.full(n, np.nan)
+    b_gcrf_nt, b_base_nt = (None, None) if q is None else np.full((2, n, 3), np.nan)
+    for rows, b_nt in _vectors(t_utc, parts, field, is_gcrf=q is not None, r_itrf_km=r_itrf_km):
+        magnitude_nt[rows] = lengths(b_nt)
         if q is not None and b_gcrf_nt is not None and b_base_nt is not None:
-            b_gcrf_nt[rows] = itrf_to_gcrf_fast(t_utc[rows], b_itrf_nt)
-            b_base_nt[rows] = _in_base(q[rows], b_gcrf_nt[rows])
+            b_gcrf_nt[rows] = b_nt
+            b_base_nt[rows] = rotate_rows(q[rows], b_nt)
     filled = replace(
         samples,
         r_itrf_km=r_itrf_km,
@@ -188,23 +217,67 @@ def _with_field(samples: Samples, t_utc: Times, r_itrf_km: Floats, has_place: Ma
         b_ref_gcrf_nt=b_gcrf_nt,
         b_ref_base_nt=b_base_nt,
     )
-    return filled.flagged(SampleFlag.NO_REFERENCE, ~has_place)
+    return filled.flagged(SampleFlag.NO_REFERENCE, np.isnan(magnitude_nt))
 
 
-def _field_nt(t_utc: Times, r_itrf_km: Floats, has_place: Mask, field: FieldModel) -> Floats:
-    """Return the field, shape (n, 3), ITRF, nT; NaN where there is no place."""
-    if has_place.all():
-        return field.field_itrf_nt(t_utc, r_itrf_km)
-    b_itrf_nt = np.full((len(t_utc), 3), np.nan)
-    b_itrf_nt[has_place] = field.field_itrf_nt(t_utc[has_place], r_itrf_km[has_place])
-    return b_itrf_nt
+def _vectors(
+    t_utc: Times, parts: Sequence[_Part], field: FieldModel, *, is_gcrf: bool, r_itrf_km: Floats | None
+) -> Iterator[tuple[Rows, Floats]]:
+    """Yield rows of the ``parts`` and the field there, shape (rows, 3), nT, in GCRF or else in ITRF.
+
+    Interpolated along an orbit where its samples are dense; else at ``r_itrf_km``, shape (n, 3), or, where that is not
+    known, at the orbit's position.
+    """
+    for part in parts:
+        known_km = None if r_itrf_km is None else r_itrf_km[part.rows]
+        along = part.orbit and field_along(part.orbit, field, t_utc[part.rows], is_gcrf=is_gcrf, r_itrf_km=known_km)
+        for rows in part.chunks(_ROWS_INTERPOLATED if along else _ROWS):
+            if along:
+                yield rows, along.at(t_utc[rows])
+            else:
+                place_km = part.positions_km(t_utc[rows]) if r_itrf_km is None else r_itrf_km[rows]
+                yield rows, field_at(field, t_utc[rows], place_km, is_gcrf=is_gcrf)
+
+
+def reference_at(
+    t_utc: Times, q_base_gcrf: Floats | None, orbits: Sequence[Orbit], field: FieldModel
+) -> tuple[Floats, Floats | None]:
+    """Return the magnitude of the field, shape (n,), nT, at ``t_utc`` on the orbits, of whatever age.
+
+    And its components in the base frame, shape (n, 3), where there is an attitude: ``q_base_gcrf``, shape (n, 4).
+    Positions are computed only where the field is not interpolated.
+
+    Raises
+    ------
+    OrbitMissingError
+        No orbit covers a time.
+    ModelRangeError, PropagationError
+        The field or the orbit cannot be had at a time or place.
+    """
+    choice = choose_orbits(orbits, t_utc)
+    parts = [_Part.of(orbits[i], rows) for i, rows in choice.by_orbit()]
+    if gap := np.count_nonzero(choice.index == NO_ORBIT):
+        raise OrbitMissingError(f"no orbit covers {gap} of {len(t_utc)} times; {_not_covered(orbits, t_utc)}")
+    magnitude_nt = np.empty(len(t_utc))
+    b_base_nt = None if q_base_gcrf is None else np.empty((len(t_utc), 3))
+    for rows, b_nt in _vectors(t_utc, parts, field, is_gcrf=q_base_gcrf is not None, r_itrf_km=None):
+        magnitude_nt[rows] = lengths(b_nt)
+        if q_base_gcrf is not None and b_base_nt is not None:
+            b_base_nt[rows] = rotate_rows(q_base_gcrf[rows], b_nt)
+    return magnitude_nt, b_base_nt
+
+
+def finite_rows(columns: Floats) -> Mask:
+    """Return which rows of ``columns``, shape (n, m), are finite, shape (n,)."""
+    is_finite = np.isfinite(columns)
+    return np.ones(len(columns), np.bool_) if is_finite.all() else np.asarray(is_finite.all(axis=1))
 
 
 def _from_telemetry(samples: Samples) -> Samples:
     """Return the samples with the forms of the reference that follow from those that were sent."""
     base_nt, gcrf_nt, magnitude_nt = samples.b_ref_base_nt, samples.b_ref_gcrf_nt, samples.b_ref_magnitude_nt
     if base_nt is None and gcrf_nt is not None and samples.q_base_gcrf is not None:
-        base_nt = _in_base(samples.q_base_gcrf, gcrf_nt)
+        base_nt = rotate_rows(samples.q_base_gcrf, gcrf_nt)
     if magnitude_nt is None:
         vector_nt = gcrf_nt if samples.b_ref_base_nt is None else samples.b_ref_base_nt
         magnitude_nt = None if vector_nt is None else lengths(vector_nt)
@@ -212,7 +285,3 @@ def _from_telemetry(samples: Samples) -> Samples:
     if magnitude_nt is None:
         return filled
     return filled.flagged(SampleFlag.NO_REFERENCE, ~np.isfinite(magnitude_nt))
-
-
-def _in_base(q_base_gcrf: Floats, b_gcrf_nt: Floats) -> Floats:
-    return np.asarray(np.matvec(attitude_matrix(q_base_gcrf), b_gcrf_nt), np.float64)

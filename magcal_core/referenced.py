@@ -15,9 +15,9 @@ from magcal_core.field import FieldModel
 from magcal_core.field.models import field_model
 from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
-from magcal_core.reference import TELEMETRY_POSITION, ReferenceReport, with_reference
+from magcal_core.reference import TELEMETRY_POSITION, ReferenceReport, finite_rows, reference_at, with_reference
 from magcal_core.regressor_columns import source_of
-from magcal_core.samples import SampleFlag, Samples
+from magcal_core.samples import SampleFlag, Samples, Times
 
 Floats = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ def in_time_order(samples: Samples) -> Samples:
     ordered = samples
     if not np.all(t_utc[1:] > t_utc[:-1]):
         ordered = samples.take(np.lexsort((h[:, 2], h[:, 1], h[:, 0], t_utc)))
-    is_bad = ~np.isfinite(ordered.h_nt).all(axis=1) | np.isnat(ordered.t_utc)
+    is_bad = ~finite_rows(ordered.h_nt) | np.isnat(ordered.t_utc)
     is_new = is_bad & ordered.is_used
     if np.count_nonzero(is_new) > MAX_BAD_FRACTION * len(samples):
         raise TooManyBadSamplesError(
@@ -99,7 +99,7 @@ class Referenced:
         if samples.b_ref_magnitude_nt is not None:
             usable &= np.isfinite(samples.b_ref_magnitude_nt)
         if is_vector and samples.b_ref_base_nt is not None:
-            usable &= np.isfinite(samples.b_ref_base_nt).all(axis=1)
+            usable &= finite_rows(samples.b_ref_base_nt)
         for source in map(source_of, regressors):
             if source in samples.housekeeping:
                 usable &= np.isfinite(samples.housekeeping[source])
@@ -116,19 +116,54 @@ class Referenced:
 
         ``rows``: which of the usable samples; ``shift_s`` is theirs.
         """
-        bare = self.samples.take(usable)
-        bare = bare if rows == slice(None) else bare.take(rows)
-        moved = replace(
-            bare,
-            t_utc=bare.t_utc + np.round(shift_s * 1e9).astype("timedelta64[ns]"),
-            b_ref_base_nt=None,
-            b_ref_gcrf_nt=None,
-            b_ref_magnitude_nt=None,
-            r_itrf_km=None,
-        )
-        filled, _ = with_reference(moved, self.orbits, self.field, max_orbit_age_days=float("inf"))
-        every = np.ones(len(bare), dtype=bool)
-        return Observations.of(replace(oriented(filled, every), t_utc=bare.t_utc), regressors)
+        used = self.samples.take(usable)
+        return self._movable(used if rows == slice(None) else used.take(rows), regressors).at(shift_s)
+
+    def movable(self, usable: NDArray[np.bool_], regressors: Sequence[str]) -> MovableObservations:
+        """Return the ``usable`` samples as an estimator sees them, whose reference can be had at shifted times."""
+        return self._movable(self.samples.take(usable), regressors)
+
+    def _movable(self, used: Samples, regressors: Sequence[str]) -> MovableObservations:
+        observations = Observations.of(oriented(used, np.ones(len(used), dtype=bool)), regressors)
+        return MovableObservations(observations, used.t_utc, used.q_base_gcrf, self.orbits, self.field)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovableObservations:
+    """Observations whose reference can be computed anew at shifted times.
+
+    Attributes
+    ----------
+    unmoved : Observations
+        With the reference at the telemetry's own times.
+    t_utc : datetime64[ns], shape (n,)
+        These times.
+    q_base_gcrf : shape (n, 4), optional
+        Unit quaternion, scalar first: ``v_base = C(q) v_gcrf``.
+    orbits, field
+        What the reference is computed with.
+    """
+
+    unmoved: Observations
+    t_utc: Times
+    q_base_gcrf: Floats | None
+    orbits: Sequence[Orbit]
+    field: FieldModel
+
+    def at(self, shift_s: Floats, rows: slice = slice(None)) -> Observations:
+        """Return the observations ``rows`` with the reference ``shift_s``, shape (rows,), s, after the clock's time.
+
+        Raises
+        ------
+        OrbitMissingError
+            No orbit covers a shifted time.
+        """
+        moved = self.t_utc[rows] + np.round(shift_s * 1e9).astype("timedelta64[ns]")
+        has_base = self.unmoved.b_base_nt is not None and self.q_base_gcrf is not None
+        q = self.q_base_gcrf[rows] if has_base and self.q_base_gcrf is not None else None
+        b_nt, b_base_nt = reference_at(moved, q, self.orbits, self.field)
+        here = self.unmoved if rows == slice(None) else self.unmoved.take(rows)
+        return replace(here, b_nt=b_nt, b_base_nt=b_base_nt)
 
 
 def oriented(samples: Samples, usable: NDArray[np.bool_]) -> Samples:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from magcal_core.errors import InputError
@@ -107,6 +108,25 @@ def rotate(q: Floats, v_reference: Floats) -> Floats:
     """Return vectors in body axes, shape (..., 3), from the same vectors in reference axes, shape (..., 3)."""
     turned: Floats = (attitude_matrix(q) @ v_reference[..., None])[..., 0]
     return turned
+
+
+def rotate_rows(q: Floats, v_reference: Floats) -> Floats:
+    """Return vectors in body axes, shape (n, 3), by one unit quaternion each, (n, 4): `rotate` in one compiled pass."""
+    v_body = np.empty((len(q), 3))
+    _rotate_rows(np.ascontiguousarray(q, np.float64), np.ascontiguousarray(v_reference, np.float64), v_body)
+    return v_body
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+def _rotate_rows(q: Floats, v_reference: Floats, v_body: Floats) -> None:
+    for i in range(len(q)):
+        w, a, b, c = q[i, 0], q[i, 1], q[i, 2], q[i, 3]
+        x, y, z = v_reference[i, 0], v_reference[i, 1], v_reference[i, 2]
+        direct = w * w - (a * a + b * b + c * c)
+        along = 2.0 * (a * x + b * y + c * z)
+        v_body[i, 0] = direct * x + along * a - 2.0 * w * (b * z - c * y)
+        v_body[i, 1] = direct * y + along * b - 2.0 * w * (c * x - a * z)
+        v_body[i, 2] = direct * z + along * c - 2.0 * w * (a * y - b * x)
 
 
 def rotation_angle(q: Floats) -> Floats:

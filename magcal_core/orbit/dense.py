@@ -31,19 +31,23 @@ SAMPLES_PER_NODE: Final = 3
 
 _NODES: Final = 12
 _BEFORE: Final = _NODES // 2 - 1
-_TURN_RAD: Final = 0.13
-_MIN_SAMPLES: Final = 1000
+_POSITION_TURN_RAD: Final = 0.13
+MIN_SAMPLES: Final = 1000
+"""Fewer are not worth the nodes."""
 _BLOCK: Final = 64
 """Samples a block of the kernel: its arrays stay in the first-level cache, and every inner loop runs over vectors."""
 _CHECKED_AT: Final = 0.381966
 """Where in its interval a polynomial is checked: a part that no table's whole seconds keep to."""
 
 
-def interval_ns(perigee_km: float, apogee_km: float) -> int:
-    """Return the distance of the nodes of positions, nanoseconds, for an orbit between these radii, km."""
+def interval_ns(perigee_km: float, apogee_km: float, turn_rad: float = _POSITION_TURN_RAD) -> int:
+    """Return the distance of the nodes, nanoseconds, ``turn_rad`` at the perigee of an orbit between these radii, km.
+
+    By default that of positions.
+    """
     semi_major_axis_km = 0.5 * (perigee_km + apogee_km)
     speed_km_s = np.sqrt(EARTH_GM_KM3_S2 * (2.0 / perigee_km - 1.0 / semi_major_axis_km))
-    return int(_TURN_RAD * perigee_km / speed_km_s) * 1_000_000_000
+    return max(1, int(turn_rad * perigee_km / speed_km_s)) * 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +68,11 @@ class Polynomials:
     step_ns: int
     row_of_interval: Indices
     coefficients: Floats
+
+    @property
+    def gap_fraction(self) -> float:
+        """Part of the intervals with samples that have no polynomial."""
+        return 1.0 - np.count_nonzero(self.row_of_interval >= 0) / len(self.coefficients)
 
     def at(self, stamps_ns: Nanoseconds) -> Floats:
         """Return the function at ``stamps_ns`` within the intervals, shape (n, 3); NaN where no polynomial holds."""
@@ -95,7 +104,8 @@ def polynomials(
     """Return the polynomials of a function in the intervals of ``stamps_ns``, from its ``values`` at nodes.
 
     None where the samples are fewer than ``samples_per_node`` to a node. With a ``tolerance`` each polynomial is
-    compared with the function at one more place of its interval, and none holds where it is farther away than that.
+    compared with the function at one more place of its interval, and none holds there and in the intervals beside
+    where one is farther away than that.
     """
     placed = _nodes(stamps_ns, epoch_ns, step_ns)
     if placed is None or len(placed[1]) * samples_per_node > len(stamps_ns):
@@ -109,7 +119,9 @@ def polynomials(
     fitted = Polynomials(start_ns, step_ns, row_of_interval, coefficients)
     if tolerance is not None:
         away = np.abs(fitted.at(checks_ns) - found[len(nodes) :]).max(axis=1)
-        row_of_interval[np.flatnonzero(row_of_interval >= 0)[~(away <= tolerance)]] = -1
+        is_rough = row_of_interval >= 0
+        is_rough[is_rough] = ~(away <= tolerance)
+        row_of_interval[np.convolve(is_rough, [1, 1, 1], "same") > 0] = -1
     return fitted
 
 
@@ -118,7 +130,7 @@ def _nodes(stamps_ns: Nanoseconds, epoch_ns: int, step_ns: int) -> tuple[int, In
 
     None for samples that are few, or farther apart than the nodes.
     """
-    if len(stamps_ns) < _MIN_SAMPLES:
+    if len(stamps_ns) < MIN_SAMPLES:
         return None
     first = (int(stamps_ns.min()) - epoch_ns) // step_ns - _BEFORE
     count = (int(stamps_ns.max()) - epoch_ns) // step_ns - first + _NODES - _BEFORE

@@ -38,6 +38,13 @@ def test_many_quaternions_give_as_many_matrices():
     np.testing.assert_allclose(matrices[3], rot.attitude_matrix(q[3]), atol=0)
 
 
+def test_a_vector_by_each_quaternion_is_as_one_by_one():
+    random = np.random.default_rng(2)
+    q, v = rot.unit(random.normal(size=(50, 4))), random.normal(size=(50, 3))
+    one_by_one = [oracle(turn) @ vector for turn, vector in zip(q, v, strict=True)]
+    np.testing.assert_allclose(rot.rotate_rows(q, v), one_by_one, atol=ROUNDING)
+
+
 @given(QUATERNIONS)
 def test_matrix_and_quaternion_are_a_round_trip_up_to_sign(q):
     back = rot.quaternion_from_matrix(rot.attitude_matrix(q))
