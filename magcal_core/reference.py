@@ -15,7 +15,7 @@ from magcal_core.errors import OrbitMissingError
 from magcal_core.field import FieldModel
 from magcal_core.field_along import field_along, field_at, positions_km
 from magcal_core.orbit import Orbit
-from magcal_core.orbit.choose import MAX_AGE_DAYS, NO_ORBIT, check_age, choose_orbits
+from magcal_core.orbit.choose import MAX_AGE_DAYS, NO_ORBIT, BoundedOrbit, check_age, choose_orbits
 from magcal_core.samples import Floats, SampleFlag, Samples, Times
 
 Mask = NDArray[np.bool_]
@@ -254,10 +254,7 @@ def reference_at(
     ModelRangeError, PropagationError
         The field or the orbit cannot be had at a time or place.
     """
-    choice = choose_orbits(orbits, t_utc)
-    parts = [_Part.of(orbits[i], rows) for i, rows in choice.by_orbit()]
-    if gap := np.count_nonzero(choice.index == NO_ORBIT):
-        raise OrbitMissingError(f"no orbit covers {gap} of {len(t_utc)} times; {_not_covered(orbits, t_utc)}")
+    parts = _parts(t_utc, orbits)
     magnitude_nt = np.empty(len(t_utc))
     b_base_nt = None if q_base_gcrf is None else np.empty((len(t_utc), 3))
     for rows, b_nt in _vectors(t_utc, parts, field, is_gcrf=q_base_gcrf is not None, r_itrf_km=None):
@@ -265,6 +262,16 @@ def reference_at(
         if q_base_gcrf is not None and b_base_nt is not None:
             b_base_nt[rows] = rotate_rows(q_base_gcrf[rows], b_nt)
     return magnitude_nt, b_base_nt
+
+
+def _parts(t_utc: Times, orbits: Sequence[Orbit]) -> list[_Part]:
+    """Return which orbit gives which of the times their positions."""
+    if len(orbits) == 1 and not isinstance(orbits[0], BoundedOrbit):
+        return [_Part(orbits[0], slice(0, len(t_utc)))]
+    choice = choose_orbits(orbits, t_utc)
+    if gap := np.count_nonzero(choice.index == NO_ORBIT):
+        raise OrbitMissingError(f"no orbit covers {gap} of {len(t_utc)} times; {_not_covered(orbits, t_utc)}")
+    return [_Part.of(orbits[i], rows) for i, rows in choice.by_orbit()]
 
 
 def finite_rows(columns: Floats) -> Mask:

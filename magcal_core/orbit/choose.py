@@ -78,7 +78,8 @@ def choose_orbits(orbits: Sequence[Orbit], t_utc: Times) -> Choice:
         epochs_ns = np.array([orbits[i].epoch_utc for i in free], "datetime64[ns]").astype(np.int64)
         by_epoch = np.argsort(epochs_ns, kind="stable")
         sorted_ns = epochs_ns[by_epoch]
-        nearest = np.searchsorted(sorted_ns[:-1] + np.diff(sorted_ns) // 2, stamps, side="left")
+        halfway_ns = sorted_ns[:-1] + np.diff(sorted_ns) // 2
+        nearest = np.searchsorted(halfway_ns, stamps, side="left") if len(free) > 1 else 0
         index[:] = np.array(free, np.intp)[by_epoch[nearest]]
         age_days[:] = np.abs(stamps - sorted_ns[nearest]) / NS_PER_DAY
     for i, orbit in enumerate(orbits):
