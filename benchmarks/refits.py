@@ -1,4 +1,7 @@
-"""What a session in memory costs once more: refits, blocks left out, bootstrap, regressors, clock, in passes over it.
+"""What a session costs once more: refits, blocks left out, bootstrap, regressors, clock, from samples and from moments.
+
+From its stored moments each takes milliseconds at any number of samples; the estimate alone is to take 2 ms
+(``magcal_core.calibration.refitting``), the rest is honest errors, models tried and replicates.
 
 A pass is one evaluation of the fit's kernel, cost, gradient and normal matrix, over all samples, of which a refit takes
 three or four. Processor time: all threads count. At 700 samples a refit and its blocks may take a quarter of a whole
@@ -24,7 +27,10 @@ from magcal_core.calibration import ESTIMATORS, Fit, FitSettings, Observations
 from magcal_core.calibration.bootstrap import bootstrap
 from magcal_core.calibration.jacobians import Standardised, theta_of_parameters
 from magcal_core.calibration.kernels import accumulate
+from magcal_core.calibration.moments import FitMoments
 from magcal_core.calibration.monitoring import ActiveSet, judge_moments, judge_session, moments_of
+from magcal_core.calibration.one_step import steps_of
+from magcal_core.calibration.refitting import RefitOptions, refit
 from magcal_core.calibration.regressors import choose_regressors
 from magcal_core.calibration.selection import held_out_residuals_nt
 from magcal_core.calibration.time_offset import fit_with_clock
@@ -40,6 +46,7 @@ REPLICATES = 200
 """Enough for a standard error to 5 %."""
 BLOCK = 16
 """Samples of a bootstrap's block at 700; in proportion at more."""
+FROM_MOMENTS_MS = {"estimate": 2.0, "refit": 10.0, "clock": 10.0, "bootstrap": 40.0, "regressors": 40.0}
 AIMS_MS = {"refit": 5.0, "blocks": 5.0, "bootstrap": 20.0, "regressors": 20.0, "clock": 20.0}
 AIMS_PASSES = {"refit": 15.0, "blocks": 30.0, "bootstrap": 60.0, "regressors": 250.0, "clock": 250.0}
 NAMES = {
@@ -52,6 +59,14 @@ NAMES = {
     "monitor": "judged against an active set, from samples with their reference",
     "moments": "judged against an active set, from moments",
     "calibration": "the whole calibration, from samples without a reference",
+}
+KEPT_NAMES = {
+    "read": "moments read from their file",
+    "estimate": "from moments: the estimate without half of the blocks",
+    "refit": "from moments: refit with honest errors and cross-validation",
+    "clock": "from moments: the same with the clock's offset",
+    "regressors": f"from moments: regressors chosen among {COLUMNS} columns",
+    "bootstrap": f"from moments: bootstrap, {REPLICATES} replicates",
 }
 _ROUNDS = {700: 15, 100_000: 5}
 _REPEATS = {700: 500, 100_000: 5}
@@ -110,6 +125,25 @@ class Session:
             ),
         }
 
+    def kept(self) -> Mapping[str, Callable[[], object]]:
+        """Return what is made from the stored moments of a calibration, by the keys of `KEPT_NAMES`."""
+        found = calibrate(self.samples, [orbit()], robust=LOSS, regressors=(), time_offset="none", with_moments=True)
+        assert found.moments is not None
+        content = found.moments.to_bytes()
+        moments = FitMoments.from_bytes(content)
+        sums, own = moments.sums, np.arange(9)
+        scores, normals = sums.scores[:, own], sums.normals[:, own[:, None], own]
+        half = np.ones((1, len(sums.costs)))
+        half[:, len(sums.costs) // 2 :] = 0.0
+        return {
+            "read": partial(FitMoments.from_bytes, content),
+            "estimate": partial(steps_of, scores, normals, half),
+            "refit": partial(refit, moments, RefitOptions()),
+            "clock": partial(refit, moments, RefitOptions(time_offset=True)),
+            "regressors": partial(refit, moments, RefitOptions("auto")),
+            "bootstrap": partial(refit, moments, RefitOptions(bootstrap=REPLICATES)),
+        }
+
     def passes(self) -> None:
         """Evaluate the kernel as often as `_REPEATS` says."""
         o, normal, gradient = self.observations, np.empty((9, 9)), np.empty(9)
@@ -138,7 +172,18 @@ def measured(n: int) -> Iterator[Figure]:
             yield Figure(ROOM, name, passes, "bare passes", aim, is_met, f"{ms:.3g} ms of processor")
 
 
+def from_moments(n: int) -> Iterator[Figure]:
+    """Yield what refits from the stored moments of a session of ``n`` samples take."""
+    times = interleaved_s(Session.of(n).kept(), _ROUNDS[n], time.process_time)
+    what = f"{n:.0e} samples" if n >= 10_000 else f"{n} samples"
+    for key, took_s in times.items():
+        ms, most = 1e3 * took_s, FROM_MOMENTS_MS.get(key)
+        is_met, aim = (None, "") if most is None else (ms <= most, f"<= {most:g}")
+        yield Figure(ROOM, f"{KEPT_NAMES[key]}, {what}", ms, "ms", aim, is_met)
+
+
 def figures() -> Iterator[Figure]:
     """Yield the figures of this room."""
     for n in _ROUNDS:
         yield from measured(n)
+        yield from from_moments(n)

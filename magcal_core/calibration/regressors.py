@@ -32,7 +32,7 @@ _TRIED: Final = 3
 """Candidates that are refitted before the selection ends: the best one, and others that promise half of `GAIN`."""
 _SAME: Final = 0.999
 """Correlation of two columns above which they say the same."""
-_MOST: Final = 50_000
+_MOST: Final = 20_000
 """Samples that candidates are ranked on; the refits use all."""
 
 
@@ -97,7 +97,8 @@ def choose_regressors(estimator: Estimator, observations: Observations, settings
     while held_out is not None and len(row.regressors) < MAX_TERMS:
         ranked = _ranked(estimator, observations, fit, row.regressors, names)
         for name in ranked:
-            tried, tried_fit, tried_held_out = _trial(estimator, observations, settings, (*row.regressors, name))
+            more = (*row.regressors, name)
+            tried, tried_fit, tried_held_out = _trial(estimator, observations, replace(settings, near=fit), more)
             rows.append(tried)
             if tried_held_out is not None and _is_better(observations, fit, held_out, tried_held_out):
                 row, fit, held_out = tried, tried_fit, tried_held_out

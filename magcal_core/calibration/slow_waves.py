@@ -23,6 +23,7 @@ from magcal_core.regressor_columns import term_nt
 from magcal_core.sensor import inverse_lower, matrix_of_parameters
 
 Floats = NDArray[np.float64]
+Waves = NDArray[np.complex128]
 
 SHORTEST_S: Final = 1800.0
 """Shortest period that is tried, s: a third of a low orbit."""
@@ -63,9 +64,9 @@ class _Channel:
     base: Floats
     carriers: Floats
 
-    def explained(self, phases: Floats) -> Floats:
-        """Return the sums of squares, shape (m,), nT^2, that waves of ``phases``, shape (m, n), rad, take each."""
-        columns = self._columns(phases)
+    def explained(self, waves: Waves) -> Floats:
+        """Return the sums of squares, shape (m,), nT^2, that each of the ``waves``, shape (m, n), takes."""
+        columns = self._columns(waves)
         slopes, shared = columns @ self.residual, columns @ self.base
         normals = columns @ columns.swapaxes(1, 2)
         size = np.sqrt(np.diagonal(normals, axis1=1, axis2=2))
@@ -75,18 +76,20 @@ class _Channel:
         normals += _RIDGE * np.eye(normals.shape[1])
         return np.asarray(np.sum(slopes * np.linalg.solve(normals, slopes[:, :, None])[:, :, 0], axis=1))
 
-    def without(self, phase: Floats) -> _Channel:
-        """Return the channel with the wave of ``phase``, shape (n,), rad, among the things taken up."""
-        columns = self._columns(phase[None])[0].T
+    def without(self, wave: Waves) -> _Channel:
+        """Return the channel with the one ``wave``, shape (1, n), among the things taken up."""
+        columns = self._columns(wave)[0].T
         rest = _orthonormal(columns - self.base @ (self.base.T @ columns))
         left = self.residual - rest @ (rest.T @ self.residual)
         return _Channel(left, np.column_stack([self.base, rest]), self.carriers)
 
-    def _columns(self, phases: Floats) -> Floats:
+    def _columns(self, waves: Waves) -> Floats:
         """Return what waves of the bias do to the residual, shape (m, 2 k, n)."""
-        carriers = np.ascontiguousarray(self.carriers.T)
-        cosines, sines = np.cos(phases)[:, None], np.sin(phases)[:, None]
-        return np.concatenate([carriers * cosines, carriers * sines], axis=1)
+        (m, n), k = waves.shape, self.carriers.shape[1]
+        columns, carriers = np.empty((m, 2 * k, n)), np.ascontiguousarray(self.carriers.T)
+        np.multiply(carriers, waves.real[:, None], out=columns[:, :k])
+        np.multiply(carriers, waves.imag[:, None], out=columns[:, k:])
+        return columns
 
 
 def slow_waves(observations: Observations, fit: Fit) -> tuple[float, ...]:
@@ -113,7 +116,7 @@ def slow_waves(observations: Observations, fit: Fit) -> tuple[float, ...]:
         near = cycles[int(np.argmax(roughly))] + np.array(_BETWEEN_CYCLES)
         explained = _explained(channels, turns, near)
         best = float(near[int(np.argmax(explained))])
-        after = [channel.without(best * turns) for channel in channels]
+        after = [channel.without(_waves(turns, np.array([best]))) for channel in channels]
         if explained.max() < limit * _variance(after):
             return tuple(periods)
         periods.append(span_s / best)
@@ -132,9 +135,26 @@ def wave_columns(t_s: Floats, periods_s: tuple[float, ...]) -> dict[str, Floats]
 
 
 def _explained(channels: list[_Channel], turns: Floats, cycles: Floats) -> Floats:
-    """Return what waves of ``cycles``, shape (m,), a session take from all channels, shape (m,), nT^2."""
-    parts = np.array_split(cycles, -(-len(cycles) // _AT_ONCE))
-    return np.concatenate([sum(one.explained(np.outer(part, turns)) for one in channels) for part in parts])
+    """Return what waves of ``cycles``, shape (m,), a session take from all channels, shape (m,), nT^2.
+
+    The ``cycles`` are evenly spaced.
+    """
+    found = []
+    for part in np.array_split(cycles, -(-len(cycles) // _AT_ONCE)):
+        waves = _waves(turns, part)
+        found.append(sum(one.explained(waves) for one in channels))
+    return np.concatenate(found)
+
+
+def _waves(turns: Floats, cycles: Floats) -> Waves:
+    """Return cosine and sine, shape (m, n), of evenly spaced multiples of ``turns``, shape (n,), rad."""
+    waves = np.empty((len(cycles), len(turns)), np.complex128)
+    waves[0] = np.exp(1j * cycles[0] * turns)
+    if len(cycles) > 1:
+        step = np.exp(1j * (cycles[1] - cycles[0]) * turns)
+        for i in range(1, len(cycles)):
+            np.multiply(waves[i - 1], step, out=waves[i])
+    return waves
 
 
 def _variance(channels: list[_Channel]) -> float:

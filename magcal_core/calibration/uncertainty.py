@@ -87,9 +87,16 @@ def _left_out(normals: Floats, scores: Floats) -> Floats:
     ``normals``: normal matrices of the rest, shape (m, q, q); ``scores``: scores of the blocks, shape (m, q).
     """
     size = np.sqrt(np.maximum(np.diagonal(normals, axis1=1, axis2=2), 1e-300))
-    values, vectors = np.linalg.eigh(normals / (size[:, :, None] * size[:, None, :]))
-    along = np.einsum("mij,mi->mj", vectors, scores / size) / np.maximum(values, 1e-12)
-    return np.asarray(np.einsum("mij,mj->mi", vectors, along) / size)
+    scaled, sums = normals / (size[:, :, None] * size[:, None, :]), scores / size
+    try:
+        np.linalg.cholesky(scaled)
+        along = np.linalg.solve(scaled, sums[:, :, None])[:, :, 0]
+    except np.linalg.LinAlgError:
+        # Without some block an unknown is not determined: it moves very far, and the others as they would without it.
+        values, vectors = np.linalg.eigh(scaled)
+        by_direction = np.einsum("mij,mi->mj", vectors, sums) / np.maximum(values, 1e-12)
+        along = np.einsum("mij,mj->mi", vectors, by_direction)
+    return np.asarray(along / size)
 
 
 def _block_length(scores: BlockScores) -> int:

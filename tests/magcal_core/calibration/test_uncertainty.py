@@ -10,6 +10,7 @@ from scipy.stats import t as student
 
 from magcal_core.calibration import ESTIMATORS, FitSettings, Observations
 from magcal_core.calibration.bootstrap import bootstrap
+from magcal_core.calibration.fit import BlockScores
 from magcal_core.calibration.judgement import Circumstances, judgement_of
 from magcal_core.calibration.uncertainty import covered_s, honest_covariance, student_95
 from magcal_core.telemetry import read_samples
@@ -125,3 +126,18 @@ def test_bro4_halves_cover_each_other(bro4_dir):
             (first, e1), (second, e2) = errors_of(observations.take(one)), errors_of(observations.take(other))
             covered.append(np.abs(first.parameters.vector - second.parameters.vector) < 1.96 * np.hypot(e1, e2))
     assert np.mean(covered) > 0.90
+
+
+def test_an_unknown_that_one_block_alone_shows_leaves_the_others_their_errors() -> None:
+    random = np.random.default_rng(8)
+    rows = random.normal(size=(20, 30, 2))
+    normals, scores = np.zeros((20, 3, 3)), np.zeros((20, 3))
+    normals[:, :2, :2] = np.einsum("kni,knj->kij", rows, rows)
+    scores[:, :2] = np.einsum("kni,kn->ki", rows, random.normal(size=(20, 30)))
+    normals[5, 2, 2] = 7.0
+    starts = np.arange(20) * 30
+    found = [
+        honest_covariance(BlockScores(scores[:, :q], normals[:, :q, :q], starts, np.eye(q)), np.eye(q), 600, 6000.0)
+        for q in (3, 2)
+    ]
+    np.testing.assert_allclose(found[0].covariance[:2, :2], found[1].covariance, rtol=1e-9)
