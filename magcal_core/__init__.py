@@ -9,6 +9,9 @@ import importlib
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
+    from magcal_core.calibration.moments import FitMoments as FitMoments
+    from magcal_core.calibration.refitting import RefitOptions as RefitOptions
+    from magcal_core.calibration.refitting import refit as refit
     from magcal_core.calibration.result import Calibration as Calibration
     from magcal_core.field.dipole import DirectDipole as DirectDipole
     from magcal_core.field.igrf import Igrf as Igrf
@@ -30,9 +33,11 @@ _HOME: Final[dict[str, str]] = {
     "Calibration": "calibration.result",
     "CalibrationOptions": "pipeline",
     "DirectDipole": "field.dipole",
+    "FitMoments": "calibration.moments",
     "Igrf": "field.igrf",
     "NumericalOrbit": "orbit.numerical",
     "OemOrbit": "orbit.oem",
+    "RefitOptions": "calibration.refitting",
     "Samples": "samples",
     "SensorModel": "sensor",
     "Sgp4Orbit": "orbit.sgp4",
@@ -41,6 +46,7 @@ _HOME: Final[dict[str, str]] = {
     "field_model": "field.models",
     "parse_orbits": "orbit.sources",
     "read_samples": "telemetry",
+    "refit": "calibration.refitting",
     "simulate": "simulation",
     "with_reference": "reference",
 }

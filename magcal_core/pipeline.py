@@ -31,6 +31,7 @@ from magcal_core.options import CalibrationOptions, OptionValues
 from magcal_core.orbit import Orbit
 from magcal_core.reference import TELEMETRY_POSITION
 from magcal_core.referenced import Referenced
+from magcal_core.regressor_columns import is_of_scale
 from magcal_core.residual_table import residual_table
 from magcal_core.samples import Samples
 from magcal_core.sensor import SensorModel
@@ -244,8 +245,11 @@ def _reference_shifts(referenced: Referenced, estimate: _Estimate) -> tuple[Refe
 
 
 def _moments(referenced: Referenced, estimate: _Estimate, judgement: Judgement) -> FitMoments | None:
-    """Return the moments of the fit, with every column that all its samples have; None where its method has none."""
-    if estimate.estimator.name not in MOMENTS_METHODS:
+    """Return the moments of the fit, with every column that all its samples have.
+
+    None where its method has none, or where the scale has regressors: moments at fixed slopes would hide their errors.
+    """
+    if estimate.estimator.name not in MOMENTS_METHODS or any(map(is_of_scale, estimate.fit.parameters.regressors)):
         return None
     o, samples, clock = estimate.observations, referenced.samples, estimate.clock
     whole = {name: np.asarray(samples.housekeeping[name], np.float64)[estimate.usable] for name in samples.housekeeping}

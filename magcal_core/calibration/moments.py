@@ -33,7 +33,6 @@ from magcal_core.calibration.kernels import accumulate_blocks, residuals
 from magcal_core.calibration.reference_errors import ReferenceShift
 from magcal_core.calibration.regression import block_sums
 from magcal_core.calibration.result import Parameters
-from magcal_core.calibration.scale_terms import without_scale_terms
 from magcal_core.calibration.uncertainty import covered_s
 from magcal_core.calibration.vector import axis_sums
 from magcal_core.errors import MomentsError
@@ -276,14 +275,13 @@ def _firsts(blocks: int) -> NDArray[np.intp]:
 def moments_of_fit(
     observations: Observations, fit: Fit, t_utc: Times, shifts: Sequence[ReferenceShift], *, is_clock_fitted: bool
 ) -> FitMoments:
-    """Return the moments of ``fit``, which is one of `METHODS`.
+    """Return the moments of ``fit``, which is one of `METHODS` and has no regressors of the scale.
 
     ``observations``: those of the fit, at its clock, with every column that may be asked for among their regressors and
     the fall of the reference by the clock's offset, where there is one; ``t_utc``, shape (n,): their times.
     ``shifts``: what errors of the reference do.
     """
-    bare, at = without_scale_terms(observations, fit.parameters)
-    o = replace(bare, weights=fit.weights)
+    o, at = replace(observations, weights=fit.weights), replace(fit.parameters, time_offset_s=None)
     z = Standardised.of(tuple(o.regressors), list(o.regressors.values()), len(o))
     every, is_vector = fit.blocks.starts, fit.residuals_nt.ndim == 2
     own, fine, unit = _vector_sums(o, at, z, every) if is_vector else _scalar_sums(o, at, z, every, fit.noise_nt)

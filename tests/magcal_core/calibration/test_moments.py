@@ -192,6 +192,12 @@ def test_no_more_columns_are_kept_than_the_file_has_room_for() -> None:
     assert len(found.to_bytes()) < 250_000
 
 
+def test_a_fit_whose_scale_has_regressors_has_no_moments() -> None:
+    samples, orbit = mission()
+    regressors = ("temperature", "temperature*h")
+    assert calibrate(samples, [orbit], with_moments=True, regressors=regressors).moments is None
+
+
 def test_a_method_without_a_minimum_has_no_moments() -> None:
     samples, orbit = mission()
     assert calibrate(samples, [orbit], with_moments=True, method="vector-closed-form").moments is None
