@@ -10,6 +10,7 @@ where a node has no field, the samples are asked for one by one.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from magcal_core.calibration.corrections import lengths
 from magcal_core.constants import EARTH_ROTATION_RAD_S
-from magcal_core.errors import ModelRangeError, OrbitFormatError, PropagationError
+from magcal_core.errors import ModelRangeError, OrbitFormatError, OrbitMissingError, PropagationError
 from magcal_core.field import FieldModel
 from magcal_core.orbit import Orbit
 from magcal_core.orbit.choose import BoundedOrbit
@@ -29,19 +30,24 @@ from magcal_core.orbit.timescales import Times, nanoseconds
 
 Floats = NDArray[np.float64]
 Nanoseconds = NDArray[np.int64]
+Rows = NDArray[np.intp] | slice
 
 SAMPLES_PER_NODE: Final = 8
 """Interpolate where there are at least this many samples for each node, which costs an orbit and two fields."""
 TOLERANCE_NT: Final = 0.005
 """Largest component of a polynomial's error at the place where it is checked."""
 _TURN_RAD: Final = 0.07
+_ROWS: Final = 1 << 18
+"""Samples whose field is taken at a time: more would keep vectors that nobody asks for."""
+_ROWS_INTERPOLATED: Final = 1 << 14
+"""The same where it is interpolated: these vectors stay in the cache."""
 _MOST_ROUGH: Final = 0.5
 """Part of the intervals without a polynomial from which on none is used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldAlong:
-    """The field of a model along an orbit, in GCRF or else in ITRF, within intervals that have samples."""
+    """The field of a model along an orbit, in GCRF or else in ITRF; by polynomials where there are some."""
 
     orbit: Orbit
     field: FieldModel
@@ -51,16 +57,18 @@ class FieldAlong:
     def at(self, t_utc: Times) -> Floats:
         """Return the field at ``t_utc``, shape (n, 3), nT, within 0.01 nT of the model's at the orbit's position."""
         b_nt = self.pieces.at(nanoseconds(t_utc))
-        if self.pieces.gap_fraction > 0.0 and len(rough := np.flatnonzero(np.isnan(b_nt[:, 0]))):
+        if len(rough := np.flatnonzero(np.isnan(b_nt[:, 0]))):
             t_rough = t_utc[rough]
             b_nt[rough] = field_at(self.field, t_rough, positions_km(self.orbit, t_rough), is_gcrf=self.is_gcrf)
         return b_nt
 
 
 def field_along(
-    orbit: Orbit, field: FieldModel, t_utc: Times, *, is_gcrf: bool, r_itrf_km: Floats | None = None
+    orbit: Orbit, field: FieldModel, t_utc: Times, *, is_gcrf: bool, r_itrf_km: Floats | None = None, margin: int = 0
 ) -> FieldAlong | None:
     """Return the field along the orbit for the times ``t_utc``; None where it is better asked for at each of them.
+
+    ``margin``: so many intervals before and after those of the times have polynomials too.
 
     That is where they are few or sparse, and where the field or the orbit cannot be had at all places and nodes: the
     samples themselves then tell whether that is an error. ``r_itrf_km``: the orbit's positions, shape (n, 3), where
@@ -91,6 +99,7 @@ def field_along(
             values,
             samples_per_node=SAMPLES_PER_NODE,
             tolerance=TOLERANCE_NT,
+            margin=margin,
         )
     except (ModelRangeError, PropagationError, OrbitFormatError):
         return None
@@ -131,3 +140,59 @@ def _interval_ns(orbit: Orbit) -> int:
     ellipse = elements_from_state(r_km, v_km_s)
     a_km, e = ellipse.semi_major_axis_km, ellipse.eccentricity
     return interval_ns(a_km * (1.0 - e), a_km * (1.0 + e), _TURN_RAD)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """Samples in order whose positions one orbit gives; None: the telemetry."""
+
+    orbit: Orbit | None
+    rows: Rows
+
+    @classmethod
+    def of(cls, orbit: Orbit | None, rows: NDArray[np.intp]) -> Part:
+        """Return the part of these rows, as a slice where they follow each other: that copies nothing."""
+        is_run = len(rows) > 0 and int(rows[-1]) - int(rows[0]) == len(rows) - 1
+        return cls(orbit, slice(int(rows[0]), int(rows[-1]) + 1) if is_run else rows)
+
+    def positions_km(self, t_utc: Times) -> Floats:
+        """Return the orbit's positions at ``t_utc``, shape (n, 3), ITRF, km."""
+        if self.orbit is None:
+            raise OrbitMissingError("the telemetry has no positions at other times than its own")
+        return positions_km(self.orbit, t_utc)
+
+    def chunks(self, size: int) -> Iterator[Rows]:
+        """Yield the rows, ``size`` at a time."""
+        if not isinstance(self.rows, slice):
+            for start in range(0, len(self.rows), size):
+                yield self.rows[start : start + size]
+            return
+        for start in range(self.rows.start, self.rows.stop, size):
+            yield slice(start, min(start + size, self.rows.stop))
+
+
+def field_of_parts(
+    t_utc: Times,
+    parts: Sequence[Part],
+    field: FieldModel,
+    *,
+    is_gcrf: bool,
+    r_itrf_km: Floats | None = None,
+    known: FieldAlong | None = None,
+) -> Iterator[tuple[Rows, Floats]]:
+    """Yield rows of the ``parts`` and the field there, shape (rows, 3), nT, in GCRF or else in ITRF.
+
+    Interpolated along an orbit where its samples are dense, by what is ``known`` or else anew; elsewhere at
+    ``r_itrf_km``, shape (n, 3), or, where that is not given, at the orbit's position.
+    """
+    for part in parts:
+        along = known
+        if part.orbit is not None and known is None:
+            places_km = None if r_itrf_km is None else r_itrf_km[part.rows]
+            along = field_along(part.orbit, field, t_utc[part.rows], is_gcrf=is_gcrf, r_itrf_km=places_km)
+        for rows in part.chunks(_ROWS_INTERPOLATED if along else _ROWS):
+            if along:
+                yield rows, along.at(t_utc[rows])
+            else:
+                place_km = part.positions_km(t_utc[rows]) if r_itrf_km is None else r_itrf_km[rows]
+                yield rows, field_at(field, t_utc[rows], place_km, is_gcrf=is_gcrf)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -13,20 +13,15 @@ from magcal_core.attitude.rotation import rotate_rows
 from magcal_core.calibration.corrections import lengths
 from magcal_core.errors import OrbitMissingError
 from magcal_core.field import FieldModel
-from magcal_core.field_along import field_along, field_at, positions_km
+from magcal_core.field_along import Part, field_of_parts, positions_km
 from magcal_core.orbit import Orbit
-from magcal_core.orbit.choose import MAX_AGE_DAYS, NO_ORBIT, BoundedOrbit, check_age, choose_orbits
+from magcal_core.orbit.choose import MAX_AGE_DAYS, NO_ORBIT, check_age, choose_orbits
 from magcal_core.samples import Floats, SampleFlag, Samples, Times
 
 Mask = NDArray[np.bool_]
-Rows = NDArray[np.intp] | slice
 
 TELEMETRY_REFERENCE: Final = "telemetry-reference"
 TELEMETRY_POSITION: Final = "telemetry-position"
-_ROWS: Final = 1 << 18
-"""Samples whose field is taken at a time: more would keep vectors that nobody asks for."""
-_ROWS_INTERPOLATED: Final = 1 << 14
-"""The same where it is interpolated: these vectors stay in the cache."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,38 +89,9 @@ def with_reference(
         has_place = finite_rows(samples.r_itrf_km)
         if has_place.all() or not orbits:
             report = ReferenceReport(TELEMETRY_POSITION, (), field.name)
-            parts = [_Part.of(None, np.flatnonzero(has_place))]
+            parts = [Part.of(None, np.flatnonzero(has_place))]
             return _with_field(samples, t_true, samples.r_itrf_km, parts, field), report
     return _from_orbits(samples, t_true, orbits, field, max_age_days=max_orbit_age_days)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Part:
-    """Samples in order whose positions one orbit gives; None: the telemetry."""
-
-    orbit: Orbit | None
-    rows: Rows
-
-    @classmethod
-    def of(cls, orbit: Orbit | None, rows: NDArray[np.intp]) -> _Part:
-        """Return the part of these rows, as a slice where they follow each other: that copies nothing."""
-        is_run = len(rows) > 0 and int(rows[-1]) - int(rows[0]) == len(rows) - 1
-        return cls(orbit, slice(int(rows[0]), int(rows[-1]) + 1) if is_run else rows)
-
-    def positions_km(self, t_utc: Times) -> Floats:
-        """Return the orbit's positions at ``t_utc``, shape (n, 3), ITRF, km."""
-        if self.orbit is None:
-            raise OrbitMissingError("the telemetry has no positions at other times than its own")
-        return positions_km(self.orbit, t_utc)
-
-    def chunks(self, size: int) -> Iterator[Rows]:
-        """Yield the rows, ``size`` at a time."""
-        if not isinstance(self.rows, slice):
-            for start in range(0, len(self.rows), size):
-                yield self.rows[start : start + size]
-            return
-        for start in range(self.rows.start, self.rows.stop, size):
-            yield slice(start, min(start + size, self.rows.stop))
 
 
 def _from_orbits(
@@ -153,10 +119,10 @@ def _from_orbits(
 
 def _places(
     samples: Samples, t_true: Times, orbits: Sequence[Orbit], max_age_days: float
-) -> tuple[Floats, list[_Part], list[str], list[Mapping[str, object]]]:
+) -> tuple[Floats, list[Part], list[str], list[Mapping[str, object]]]:
     """Return the positions, shape (n, 3), km, NaN where no orbit covers; whence; warnings; an entry for each orbit."""
     entries: list[Mapping[str, object]] = []
-    parts: list[_Part] = []
+    parts: list[Part] = []
     if samples.r_itrf_km is None:
         choice = choose_orbits(orbits, t_true)
         warnings = check_age(choice, orbits, max_age_days)
@@ -164,19 +130,19 @@ def _places(
         if alone != NO_ORBIT and np.all(choice.index == alone):
             entries.append(_entry(alone, orbits[alone], choice.age_days))
             del choice
-            whole = _Part(orbits[alone], slice(0, len(samples)))
+            whole = Part(orbits[alone], slice(0, len(samples)))
             return positions_km(orbits[alone], t_true), [whole], warnings, entries
         r_itrf_km, rows = np.full((len(samples), 3), np.nan), np.arange(len(samples))
     else:
         r_itrf_km = samples.r_itrf_km.copy()
         is_known = finite_rows(r_itrf_km)
         if is_known.any():
-            parts.append(_Part.of(None, np.flatnonzero(is_known)))
+            parts.append(Part.of(None, np.flatnonzero(is_known)))
         rows = np.flatnonzero(~is_known)
         choice = choose_orbits(orbits, t_true[rows])
         warnings = check_age(choice, orbits, max_age_days)
     for i, chosen in choice.by_orbit():
-        part = _Part.of(orbits[i], rows[chosen])
+        part = Part.of(orbits[i], rows[chosen])
         r_itrf_km[part.rows] = positions_km(orbits[i], t_true[part.rows])
         parts.append(part)
         entries.append(_entry(i, orbits[i], choice.age_days[chosen]))
@@ -198,14 +164,12 @@ def _not_covered(orbits: Sequence[Orbit], t_utc: Times) -> str:
     return f"none of the {len(orbits)} ephemerides covers the telemetry, {first}Z to {last}Z"
 
 
-def _with_field(
-    samples: Samples, t_utc: Times, r_itrf_km: Floats, parts: Sequence[_Part], field: FieldModel
-) -> Samples:
+def _with_field(samples: Samples, t_utc: Times, r_itrf_km: Floats, parts: Sequence[Part], field: FieldModel) -> Samples:
     """Return the samples with position and field; ``t_utc`` is the true time of each."""
     n, q = len(samples), samples.q_base_gcrf
     magnitude_nt = np.full(n, np.nan)
     b_gcrf_nt, b_base_nt = (None, None) if q is None else np.full((2, n, 3), np.nan)
-    for rows, b_nt in _vectors(t_utc, parts, field, is_gcrf=q is not None, r_itrf_km=r_itrf_km):
+    for rows, b_nt in field_of_parts(t_utc, parts, field, is_gcrf=q is not None, r_itrf_km=r_itrf_km):
         magnitude_nt[rows] = lengths(b_nt)
         if q is not None and b_gcrf_nt is not None and b_base_nt is not None:
             b_gcrf_nt[rows] = b_nt
@@ -218,60 +182,6 @@ def _with_field(
         b_ref_base_nt=b_base_nt,
     )
     return filled.flagged(SampleFlag.NO_REFERENCE, np.isnan(magnitude_nt))
-
-
-def _vectors(
-    t_utc: Times, parts: Sequence[_Part], field: FieldModel, *, is_gcrf: bool, r_itrf_km: Floats | None
-) -> Iterator[tuple[Rows, Floats]]:
-    """Yield rows of the ``parts`` and the field there, shape (rows, 3), nT, in GCRF or else in ITRF.
-
-    Interpolated along an orbit where its samples are dense; else at ``r_itrf_km``, shape (n, 3), or, where that is not
-    known, at the orbit's position.
-    """
-    for part in parts:
-        known_km = None if r_itrf_km is None else r_itrf_km[part.rows]
-        along = part.orbit and field_along(part.orbit, field, t_utc[part.rows], is_gcrf=is_gcrf, r_itrf_km=known_km)
-        for rows in part.chunks(_ROWS_INTERPOLATED if along else _ROWS):
-            if along:
-                yield rows, along.at(t_utc[rows])
-            else:
-                place_km = part.positions_km(t_utc[rows]) if r_itrf_km is None else r_itrf_km[rows]
-                yield rows, field_at(field, t_utc[rows], place_km, is_gcrf=is_gcrf)
-
-
-def reference_at(
-    t_utc: Times, q_base_gcrf: Floats | None, orbits: Sequence[Orbit], field: FieldModel
-) -> tuple[Floats, Floats | None]:
-    """Return the magnitude of the field, shape (n,), nT, at ``t_utc`` on the orbits, of whatever age.
-
-    And its components in the base frame, shape (n, 3), where there is an attitude: ``q_base_gcrf``, shape (n, 4).
-    Positions are computed only where the field is not interpolated.
-
-    Raises
-    ------
-    OrbitMissingError
-        No orbit covers a time.
-    ModelRangeError, PropagationError
-        The field or the orbit cannot be had at a time or place.
-    """
-    parts = _parts(t_utc, orbits)
-    magnitude_nt = np.empty(len(t_utc))
-    b_base_nt = None if q_base_gcrf is None else np.empty((len(t_utc), 3))
-    for rows, b_nt in _vectors(t_utc, parts, field, is_gcrf=q_base_gcrf is not None, r_itrf_km=None):
-        magnitude_nt[rows] = lengths(b_nt)
-        if q_base_gcrf is not None and b_base_nt is not None:
-            b_base_nt[rows] = rotate_rows(q_base_gcrf[rows], b_nt)
-    return magnitude_nt, b_base_nt
-
-
-def _parts(t_utc: Times, orbits: Sequence[Orbit]) -> list[_Part]:
-    """Return which orbit gives which of the times their positions."""
-    if len(orbits) == 1 and not isinstance(orbits[0], BoundedOrbit):
-        return [_Part(orbits[0], slice(0, len(t_utc)))]
-    choice = choose_orbits(orbits, t_utc)
-    if gap := np.count_nonzero(choice.index == NO_ORBIT):
-        raise OrbitMissingError(f"no orbit covers {gap} of {len(t_utc)} times; {_not_covered(orbits, t_utc)}")
-    return [_Part.of(orbits[i], rows) for i, rows in choice.by_orbit()]
 
 
 def finite_rows(columns: Floats) -> Mask:

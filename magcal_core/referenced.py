@@ -13,9 +13,10 @@ from magcal_core.calibration.fit import Observations
 from magcal_core.errors import TooManyBadSamplesError
 from magcal_core.field import FieldModel
 from magcal_core.field.models import field_model
+from magcal_core.moving_reference import MovingReference
 from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
-from magcal_core.reference import TELEMETRY_POSITION, ReferenceReport, finite_rows, reference_at, with_reference
+from magcal_core.reference import TELEMETRY_POSITION, ReferenceReport, finite_rows, with_reference
 from magcal_core.regressor_columns import source_of
 from magcal_core.samples import SampleFlag, Samples, Times
 
@@ -125,7 +126,9 @@ class Referenced:
 
     def _movable(self, used: Samples, regressors: Sequence[str]) -> MovableObservations:
         observations = Observations.of(oriented(used, np.ones(len(used), dtype=bool)), regressors)
-        return MovableObservations(observations, used.t_utc, used.q_base_gcrf, self.orbits, self.field)
+        q = None if observations.b_base_nt is None else used.q_base_gcrf
+        reference = MovingReference.about(used.t_utc, self.orbits, self.field, is_gcrf=q is not None)
+        return MovableObservations(observations, used.t_utc, q, reference)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,15 +143,14 @@ class MovableObservations:
         These times.
     q_base_gcrf : shape (n, 4), optional
         Unit quaternion, scalar first: ``v_base = C(q) v_gcrf``.
-    orbits, field
-        What the reference is computed with.
+    reference : MovingReference
+        The reference at other times.
     """
 
     unmoved: Observations
     t_utc: Times
     q_base_gcrf: Floats | None
-    orbits: Sequence[Orbit]
-    field: FieldModel
+    reference: MovingReference
 
     def at(self, shift_s: Floats, rows: slice = slice(None)) -> Observations:
         """Return the observations ``rows`` with the reference ``shift_s``, shape (rows,), s, after the clock's time.
@@ -159,9 +161,7 @@ class MovableObservations:
             No orbit covers a shifted time.
         """
         moved = self.t_utc[rows] + np.round(shift_s * 1e9).astype("timedelta64[ns]")
-        has_base = self.unmoved.b_base_nt is not None and self.q_base_gcrf is not None
-        q = self.q_base_gcrf[rows] if has_base and self.q_base_gcrf is not None else None
-        b_nt, b_base_nt = reference_at(moved, q, self.orbits, self.field)
+        b_nt, b_base_nt = self.reference.at(moved, None if self.q_base_gcrf is None else self.q_base_gcrf[rows])
         here = self.unmoved if rows == slice(None) else self.unmoved.take(rows)
         return replace(here, b_nt=b_nt, b_base_nt=b_base_nt)
 

@@ -75,7 +75,7 @@ class Polynomials:
         return 1.0 - np.count_nonzero(self.row_of_interval >= 0) / len(self.coefficients)
 
     def at(self, stamps_ns: Nanoseconds) -> Floats:
-        """Return the function at ``stamps_ns`` within the intervals, shape (n, 3); NaN where no polynomial holds."""
+        """Return the function at ``stamps_ns``, shape (n, 3); NaN where no polynomial holds."""
         values = np.empty((len(stamps_ns), 3))
         _evaluate(stamps_ns, self.start_ns, self.step_ns, self.row_of_interval, self.coefficients, values)
         return values
@@ -100,14 +100,16 @@ def polynomials(
     *,
     samples_per_node: int,
     tolerance: float | None = None,
+    margin: int = 0,
 ) -> Polynomials | None:
     """Return the polynomials of a function in the intervals of ``stamps_ns``, from its ``values`` at nodes.
 
-    None where the samples are fewer than ``samples_per_node`` to a node. With a ``tolerance`` each polynomial is
-    compared with the function at one more place of its interval, and none holds there and in the intervals beside
-    where one is farther away than that.
+    Each is compared with the function at one more place of its interval where there is a ``tolerance``, and none holds
+    there and in the intervals beside where one is farther away than that. ``margin``: so many intervals before and
+    after those of the samples have polynomials too. None where the samples are fewer than ``samples_per_node`` to a
+    node.
     """
-    placed = _nodes(stamps_ns, epoch_ns, step_ns)
+    placed = _nodes(stamps_ns, epoch_ns, step_ns, margin)
     if placed is None or len(placed[1]) * samples_per_node > len(stamps_ns):
         return None
     start_ns, nodes, first_nodes, row_of_interval = placed
@@ -125,21 +127,23 @@ def polynomials(
     return fitted
 
 
-def _nodes(stamps_ns: Nanoseconds, epoch_ns: int, step_ns: int) -> tuple[int, Indices, Indices, Indices] | None:
+def _nodes(
+    stamps_ns: Nanoseconds, epoch_ns: int, step_ns: int, margin: int
+) -> tuple[int, Indices, Indices, Indices] | None:
     """Return where the intervals begin, which nodes are needed, the first of each polynomial, and its row by interval.
 
     None for samples that are few, or farther apart than the nodes.
     """
     if len(stamps_ns) < MIN_SAMPLES:
         return None
-    first = (int(stamps_ns.min()) - epoch_ns) // step_ns - _BEFORE
-    count = (int(stamps_ns.max()) - epoch_ns) // step_ns - first + _NODES - _BEFORE
+    first = (int(stamps_ns.min()) - epoch_ns) // step_ns - _BEFORE - margin
+    count = (int(stamps_ns.max()) - epoch_ns) // step_ns - first + _NODES - _BEFORE + margin
     if count > 4 * len(stamps_ns):
         return None
     start_ns = epoch_ns + first * step_ns
     is_used = np.zeros(count, np.bool_)
     _mark(stamps_ns, start_ns, step_ns, is_used)
-    used = np.flatnonzero(is_used)
+    used = np.flatnonzero(is_used if not margin else np.convolve(is_used, np.ones(2 * margin + 1), "same") > 0)
     is_node = np.zeros(count, np.bool_)
     for offset in range(-_BEFORE, _NODES - _BEFORE):
         is_node[used + offset] = True
@@ -202,7 +206,7 @@ def _evaluate(  # noqa: PLR0917 (numba takes no keyword arguments)
         width = 1
         while width < min(_BLOCK, n - start) and low <= stamps_ns[start + width] < low + step_ns:
             width += 1
-        row = row_of_interval[interval]
+        row = row_of_interval[interval] if 0 <= interval < len(row_of_interval) else -1
         for i in range(width):
             v[i] = (stamps_ns[start + i] - low) * per_ns - 0.5
             x[i] = y[i] = z[i] = 0.0 if row >= 0 else math.nan

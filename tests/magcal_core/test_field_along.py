@@ -10,6 +10,7 @@ from magcal_core.field import FieldModel
 from magcal_core.field.dipole import DirectDipole
 from magcal_core.field.igrf import Igrf
 from magcal_core.field_along import field_along
+from magcal_core.moving_reference import MovingReference
 from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
 from magcal_core.orbit.frames import itrf_to_gcrf, teme_to_itrf
@@ -18,7 +19,7 @@ from magcal_core.orbit.numerical import NumericalOrbit
 from magcal_core.orbit.oem import OemOrbit, Segment
 from magcal_core.orbit.sgp4 import Sgp4Orbit
 from magcal_core.orbit.tle import checksum
-from magcal_core.reference import reference_at, with_reference
+from magcal_core.reference import with_reference
 from magcal_core.referenced import Referenced
 from magcal_core.samples import SampleFlag, Samples
 
@@ -229,7 +230,7 @@ def test_gaps_in_an_ephemeris_stay_gaps() -> None:
     np.testing.assert_array_equal(np.isnan(_given(filled.b_ref_magnitude_nt)), is_before)
     np.testing.assert_array_equal((filled.flags & SampleFlag.NO_REFERENCE) > 0, is_before)
     with pytest.raises(OrbitMissingError, match="500 of 3500"):
-        reference_at(t_utc, None, [oem], FIELD)
+        MovingReference([oem], FIELD, is_gcrf=False).at(t_utc, None)
 
 
 @pytest.mark.parametrize("shift_s", [-1800.3, 0.7, 55.5])
@@ -263,7 +264,7 @@ def test_a_radius_beyond_the_model_is_refused_as_at_every_sample() -> None:
         with pytest.raises(ModelRangeError, match="to 31856 km"):
             _reference(orbit, some)
         with pytest.raises(ModelRangeError, match="to 31856 km"):
-            reference_at(some, None, [orbit], FIELD)
+            MovingReference.about(some, [orbit], FIELD, is_gcrf=False).at(some, None)
 
 
 def test_the_last_samples_within_a_model_need_no_node_beyond_it() -> None:
