@@ -21,6 +21,7 @@ from app.client_requests import (
     Call,
     JobFailedError,
     Progress,
+    Query,
     Record,
     ServiceAnswerError,
     ServiceUnreachableError,
@@ -107,7 +108,7 @@ class Client:
             job = self._record(Call("GET", f"/jobs/{job['id']}"))
         return self._record(Call("GET", result_path(job)))
 
-    def get(self, path: str, **query: str) -> Record:
+    def get(self, path: str, **query: Query) -> Record:
         """Return what ``GET /api/v1{path}`` answers, such as ``/parameter-sets`` or ``/overview``."""
         return self._record(Call("GET", path, params=query))
 

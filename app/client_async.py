@@ -17,6 +17,7 @@ from app.client_requests import (
     TRIES,
     Call,
     Progress,
+    Query,
     Record,
     ServiceAnswerError,
     ServiceUnreachableError,
@@ -94,7 +95,7 @@ class AsyncClient:
             job = await self._record(Call("GET", f"/jobs/{job['id']}"))
         return await self._record(Call("GET", result_path(job)))
 
-    async def get(self, path: str, **query: str) -> Record:
+    async def get(self, path: str, **query: Query) -> Record:
         """Return what ``GET /api/v1{path}`` answers, such as ``/parameter-sets`` or ``/overview``."""
         return await self._record(Call("GET", path, params=query))
 

@@ -10,7 +10,7 @@ import base64
 import hashlib
 import random
 import uuid
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -22,6 +22,8 @@ from magcal_core.errors import MagcalError
 from magcal_core.telemetry import MEDIA_TYPES, format_of_name
 
 Record = dict[str, JsonValue]
+Query = str | Sequence[str]
+"""Value of a query: one that is a sequence is sent once for each of its items."""
 Progress = Callable[[float], None]
 
 TRIES: Final = 6
@@ -67,7 +69,7 @@ class Call:
 
     method: str
     path: str
-    params: Mapping[str, str] = field(default_factory=dict)
+    params: Mapping[str, Query] = field(default_factory=dict)
     headers: Mapping[str, str] = field(default_factory=dict)
     json: JsonValue = None
     content: bytes | None = None

@@ -58,6 +58,12 @@ class NotFoundError(ServiceError):
     code = "not_found"
 
 
+class NoMomentsError(NotFoundError):
+    """The parameter set has no moments from which its fit could be made again."""
+
+    code = "no_moments"
+
+
 class ConflictError(ServiceError):
     """The request does not fit the present state."""
 

@@ -1,4 +1,4 @@
-"""What runs in the child for a calibration: columnar chunks and orbits in, a record and a residual table out."""
+"""What runs in the child for a calibration: columnar chunks and orbits in, a record, residuals and moments out."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from magcal_core.sessions import calibrate_jointly
 
 
 def calibrate(work: object, report: Report) -> Outcome:
-    """Return the parameter set and residual table of one calibration."""
+    """Return the parameter set, residual table and moments of one calibration."""
     if not isinstance(work, CalibrationWork):
         raise WrongKindError("not a calibration")
     orbits = [orbit_of(content) for _, content in work.orbits]
     options = CalibrationOptions.from_dict(work.options)
     together = samples_of([chunk for chunks in work.columns for chunk in chunks])
     active = None if work.active is None else ActiveSet.from_record(work.active)
-    found = run(together, orbits, options, active=active, progress=report)
+    found = run(together, orbits, options, active=active, with_moments=True, progress=report)
     document = found.to_dict()
     compared = document.get("agreement")
     if isinstance(compared, dict) and work.active is not None:
@@ -44,7 +44,13 @@ def calibrate(work: object, report: Report) -> Outcome:
     if not isinstance(record, dict):
         raise WrongKindError("a calibration's record is not a mapping")
     _complete_provenance(record["provenance"], work)
-    return Outcome(record, {"residuals": to_bytes(residual_table(found.residuals))})
+    return Outcome(record, _blobs(found))
+
+
+def _blobs(found: Calibration) -> dict[str, bytes]:
+    """Return what is kept beside the record: the residuals, and the moments where the method leaves any."""
+    blobs = {"residuals": to_bytes(residual_table(found.residuals))}
+    return blobs if found.moments is None else blobs | {"moments": found.moments.to_bytes()}
 
 
 def _joint(work: CalibrationWork, orbits: Sequence[Orbit], found: Calibration) -> dict[str, object]:
@@ -74,5 +80,5 @@ def warm(_work: object, _report: Report) -> Outcome:
     """Calibrate made-up sessions, so that a new child has everything loaded and compiled."""
     samples = simulated(SESSIONS[0]).samples
     for method in METHODS:
-        found = run(samples, [Sgp4Orbit(tle_of(SESSIONS[0]))], method=method)
-    return Outcome({}, {"residuals": to_bytes(residual_table(found.residuals))})
+        found = run(samples, [Sgp4Orbit(tle_of(SESSIONS[0]))], method=method, with_moments=True)
+    return Outcome({}, _blobs(found))

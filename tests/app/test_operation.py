@@ -113,7 +113,7 @@ def test_an_audit_finds_every_acknowledged_byte_and_no_more(service, store, tele
         job = api.post("/jobs", json={"kind": "calibration", "session_ids": session_ids[:1]}).json()
         assert ended(api, job["id"])["state"] == "succeeded"
     done = audit(service.database, store)
-    assert (done.findings, done.sessions, done.parameter_sets, done.objects) == ((), 2, 1, 5)
+    assert (done.findings, done.sessions, done.parameter_sets, done.objects) == ((), 2, 1, 6)
     with service.database.write() as session:
         store.put(session, "raw/a/stray", b"stray")
         store.delete(session, f"columns/{session_ids[1]}/0")

@@ -50,12 +50,13 @@ def test_an_untouched_store_is_found_whole(kept):
     found = audit(kept[1], STORE)
     assert found.findings == ()
     assert (found.sessions, found.parameter_sets, found.jobs) == (2, 1, 1)
-    assert found.objects == 2 * 2 + 1  # raw bytes and columns of two chunks, and a residual table
+    assert found.objects == 2 * 2 + 2  # raw bytes and columns of two chunks, a residual table and moments
 
 
-def test_a_flipped_byte_is_found(kept):
+@pytest.mark.parametrize("kind", ["raw", "columns", "residuals", "moments"])
+def test_a_flipped_byte_is_found(kept, kind):
     with kept[1].write() as session:
-        part = session.scalars(select(BlobPart).where(BlobPart.key.startswith("raw/"))).first()
+        part = session.scalars(select(BlobPart).where(BlobPart.key.startswith(f"{kind}/"))).first()
         middle = len(part.content) // 2
         part.content = part.content[:middle] + bytes([part.content[middle] ^ 1]) + part.content[middle + 1 :]
     assert codes(kept[1]) == ["stored_object_corrupt"]

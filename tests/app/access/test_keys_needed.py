@@ -45,6 +45,7 @@ SCOPES = {
     "GET /parameter-sets/{parameter_set_id}/export": "read",
     "GET /parameter-sets/{parameter_set_id}/report": "read",
     "GET /parameter-sets/{parameter_set_id}/pointing": "read",
+    "GET /parameter-sets/{parameter_set_id}/refit": "read",
     "GET /parameter-sets/{parameter_set_id}/figures/{figure}": "read",
     "POST /parameter-sets/{parameter_set_id}/activate": "operate",
     "POST /parameter-sets/{parameter_set_id}/rollback": "operate",
