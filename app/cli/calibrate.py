@@ -219,10 +219,12 @@ def _in_force(path: Path | None) -> ActiveSet | None:
     InputError
         The file is not a parameter set.
     """
+    if path is None:
+        return None
     from app.records import parse_parameter_set
     from magcal_core.calibration.monitoring import ActiveSet
 
-    return None if path is None else ActiveSet.from_record(parse_parameter_set(path.read_bytes()))
+    return ActiveSet.from_record(parse_parameter_set(path.read_bytes()))
 
 
 def _options(asked: Mapping[str, object]) -> CalibrationOptions:

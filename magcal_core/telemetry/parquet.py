@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from magcal_core.errors import TelemetryFormatError
 from magcal_core.telemetry.columns import ColumnMap, plan_columns
 from magcal_core.telemetry.table import RawTable, from_arrow
 from magcal_core.telemetry.text import MAX_ROWS, check_row_count
+
+if TYPE_CHECKING:
+    from pyarrow.parquet import FileMetaData
 
 TABLE: Final = "Parquet table"
 MAX_BYTES_PER_CELL: Final = 256
@@ -25,8 +27,10 @@ def read_parquet(data: bytes, columns: ColumnMap | None = None, *, max_rows: int
     InputError
         The file is cut short, corrupt or past a limit, or with every fault of the table, by row and column.
     """
+    from pyarrow.parquet import ParquetFile
+
     try:
-        file = pq.ParquetFile(pa.BufferReader(data))
+        file = ParquetFile(pa.BufferReader(data))
         check_row_count(file.metadata.num_rows, max_rows)
         schema = file.schema_arrow
         flat = [name for name, kind in zip(schema.names, schema.types, strict=True) if not pa.types.is_nested(kind)]
@@ -50,7 +54,7 @@ def read_parquet(data: bytes, columns: ColumnMap | None = None, *, max_rows: int
     return RawTable(raw.t_ns, raw.is_epoch, raw.numbers, (*ignored, *raw.ignored))
 
 
-def _check_size(metadata: pq.FileMetaData) -> None:
+def _check_size(metadata: FileMetaData) -> None:
     for i in range(metadata.num_row_groups):
         group = metadata.row_group(i)
         if group.total_byte_size > MAX_BYTES_PER_CELL * (group.num_rows + 4096) * max(group.num_columns, 1):
@@ -63,6 +67,8 @@ def _may_be_numeric(kind: pa.DataType) -> bool:
 
 def write_parquet(table: pa.Table) -> bytes:
     """Return a table of samples as Parquet, zstd inside."""
+    from pyarrow.parquet import write_table
+
     body = pa.BufferOutputStream()
-    pq.write_table(table, body, compression="zstd", use_dictionary=False)
+    write_table(table, body, compression="zstd", use_dictionary=False)
     return bytes(body.getvalue())
