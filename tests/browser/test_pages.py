@@ -165,6 +165,22 @@ def test_pointing_impact_is_simulated_where_it_is_asked_for(window: Watched, add
     assert calibrated < raw
 
 
+def test_a_refit_shows_what_a_span_left_out_would_change(window: Watched, addresses: dict[str, str]) -> None:
+    page = window.open(addresses["parameter-set"])
+    region = page.locator("section", has=page.get_by_role("heading", name="What if"))
+    region.get_by_label("Leave out from, UTC").fill("2022-02-19 23:00:00")
+    region.get_by_label("until, UTC", exact=True).fill("2022-02-19 23:20:00")
+    region.get_by_label("Bootstrap replicates").fill("50")
+    region.get_by_role("button", name="Refit", exact=True).click()
+    expect(region.locator("tbody tr")).to_have_count(9, timeout=DRAWN_MS)
+    expect(region).to_contain_text("% left out")
+    expect(region.get_by_role("columnheader", name="bootstrap error")).to_be_visible()
+    region.get_by_label("Regressors").fill("nobody")
+    region.get_by_role("button", name="Refit", exact=True).click()
+    expect(region.get_by_role("alert")).to_contain_text("regressors")
+    window.errors.clear()  # Chromium itself reports the answer of 422 in the console
+
+
 def test_an_on_board_table_is_saved_as_a_c_header(window: Watched, addresses: dict[str, str]) -> None:
     page = window.open(addresses["parameter-set"])
     page.get_by_label("Convention").select_option("on-board")

@@ -2,6 +2,7 @@
 import { api, confirm, facts, fixed, form, field, grade, h, listed, may, notice, nt, option, section, short, show, start, SYMBOLS, tiles, time, title } from "./magcal.js";
 import { differenceTable, parameterTable, statisticsTable } from "./parameters.js";
 import { plot, whenNear } from "./plot.js";
+import { whatIf } from "./refit.js";
 import { table } from "./table.js";
 
 const id = location.pathname.split("/")[2];
@@ -169,6 +170,7 @@ async function draw() {
         figure("map", "Over the Earth", "Residual by geocentric latitude and longitude of the satellite; thin lines: |B| of IGRF at its height, nT.", 420))),
     section("Correlation", figure("correlation", "Correlation of the parameters", "From the honest covariance.", 410)),
     ablation(record),
+    section("What if", whatIf(record)),
     section("Pointing impact", pointing()),
     candidates(record),
     section("Compare", others),

@@ -29,7 +29,7 @@ export const unit = (name) => UNIT[split(name).group] ?? per(split(name).group.s
 export const digits = (name) => DIGITS[split(name).group] ?? (isOfScale(split(name).group) ? 7 : 3);
 
 const named = (name) => ({ name, value: symbol, heads: true });
-const number = (name, value, places, more = {}) => ({ name, numeric: true, value, show: (row) => fixed(value(row), places(row)), ...more });
+export const number = (name, value, places, more = {}) => ({ name, numeric: true, value, show: (row) => fixed(value(row), places(row)), ...more });
 
 export function parameterTable(record) {
   const of = (parameters) => (name) => valueOf(parameters, name);
@@ -47,7 +47,7 @@ export function parameterTable(record) {
 }
 
 // What changes from one set to another, in numbers and in combined standard errors.
-export function differenceTable(before, after, headings = ["in force now", "new", "change"]) {
+export function differenceTable(before, after, headings = ["in force now", "new", "change"], more = []) {
   const [old, made] = [before, after].map((record) => (name) => valueOf(record.parameters, name));
   const change = (name) => (old(name) === null || made(name) === null ? null : made(name) - old(name));
   const spread = (name) => Math.hypot(valueOf(before.standard_errors, name) ?? 0, valueOf(after.standard_errors, name) ?? 0);
@@ -60,6 +60,7 @@ export function differenceTable(before, after, headings = ["in force now", "new"
     number(headings[2], change, digits, { strong: true }),
     { name: "unit", value: unit },
     number("in standard errors", errors, () => 1),
+    ...more,
   ], names, { caption: "Differences", file: `differences-${before.id}-${after.id}`, look: (name) => (Math.abs(errors(name)) > 3 ? "large" : "") });
 }
 
