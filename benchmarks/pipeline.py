@@ -14,6 +14,7 @@ from benchmarks.fit import telemetry as with_base_field
 from benchmarks.measure import Figure, interleaved_s
 from magcal_core.calibration import ESTIMATORS, FitSettings, Observations
 from magcal_core.field.igrf import Igrf
+from magcal_core.field_along import field_along
 from magcal_core.orbit.sgp4 import Sgp4Orbit
 from magcal_core.orbit.tle import parse_tles
 from magcal_core.pipeline import calibrate
@@ -84,13 +85,20 @@ class Stages:
         referenced, _ = with_reference(self.samples, [self.path], self.field)
         return ESTIMATORS["scalar"].fit(Observations.of(referenced), FitSettings("soft_l1"))
 
+    def field_nt(self) -> Floats:
+        """Return the field, shape (n, 3), ITRF, nT: along the orbit where that pays, else at the positions."""
+        along = field_along(self.path, self.field, self.samples.t_utc, is_gcrf=False, r_itrf_km=self.places_km)
+        if along is not None:
+            return along.at(self.samples.t_utc)
+        return self.field.field_itrf_nt(self.samples.t_utc, self.places_km)
+
     def candidates(self) -> Mapping[str, Callable[[], object]]:
         """Return what takes turns."""
         fit = ESTIMATORS["scalar"].fit
         full = partial(calibrate, self.samples, [self.path], robust="soft_l1")
         return {
             "position": partial(self.path.position_itrf_km, self.samples.t_utc),
-            "field": partial(self.field.field_itrf_nt, self.samples.t_utc, self.places_km),
+            "field": self.field_nt,
             "fit": partial(fit, self.observations, FitSettings("soft_l1")),
             "bare": self.bare,
             "full": partial(full, time_offset="none"),
