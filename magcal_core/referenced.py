@@ -108,7 +108,8 @@ class Referenced:
 
     def observations(self, usable: NDArray[np.bool_], regressors: Sequence[str]) -> Observations:
         """Return the ``usable`` samples as an estimator sees them; without attitude where some of them have none."""
-        return Observations.of(oriented(self.samples, usable), regressors, usable.astype(np.float64))
+        seen = replace(_observed(oriented(self.samples, usable)), q_base_gcrf=None)
+        return Observations.of(seen, regressors, usable.astype(np.float64))
 
     def shifted(
         self, usable: NDArray[np.bool_], regressors: Sequence[str], shift_s: Floats, rows: slice = slice(None)
@@ -117,12 +118,12 @@ class Referenced:
 
         ``rows``: which of the usable samples; ``shift_s`` is theirs.
         """
-        used = self.samples.take(usable)
+        used = _observed(self.samples).take(usable)
         return self._movable(used if rows == slice(None) else used.take(rows), regressors).at(shift_s)
 
     def movable(self, usable: NDArray[np.bool_], regressors: Sequence[str]) -> MovableObservations:
         """Return the ``usable`` samples as an estimator sees them, whose reference can be had at shifted times."""
-        return self._movable(self.samples.take(usable), regressors)
+        return self._movable(_observed(self.samples).take(usable), regressors)
 
     def _movable(self, used: Samples, regressors: Sequence[str]) -> MovableObservations:
         observations = Observations.of(oriented(used, np.ones(len(used), dtype=bool)), regressors)
@@ -169,9 +170,14 @@ class MovableObservations:
 def oriented(samples: Samples, usable: NDArray[np.bool_]) -> Samples:
     """Return ``samples`` with the field in the base frame only where all of the ``usable`` ones have it."""
     base_nt = samples.b_ref_base_nt
-    if base_nt is None or np.isfinite(base_nt[usable]).all():
+    if base_nt is None or np.all(finite_rows(base_nt) | ~usable):
         return samples
     return replace(samples, b_ref_base_nt=None)
+
+
+def _observed(samples: Samples) -> Samples:
+    """Return ``samples`` without the columns that no estimator sees: selecting among them need not copy these."""
+    return replace(samples, r_itrf_km=None, b_ref_gcrf_nt=None)
 
 
 def _numerical(orbits: Sequence[Orbit], samples: Samples) -> list[Orbit]:

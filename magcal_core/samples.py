@@ -121,8 +121,14 @@ class Samples:
         """Return the samples that ``index`` selects, columns and flags alike; a mask that keeps all copies nothing."""
         if selects_all(index):
             return self
-        own = {name: array[index] for name, array in self._own_columns().items()}
-        keeping = {name: column[index] for name, column in self.housekeeping.items()}
+        if isinstance(index, slice):
+            own = {name: array[index] for name, array in self._own_columns().items()}
+            keeping = {name: column[index] for name, column in self.housekeeping.items()}
+        else:
+            # Of vectors, numbers of rows are several times as fast as a mask, and `take` as brackets.
+            rows = np.flatnonzero(index) if index.dtype == np.bool_ else index
+            own = {name: array.take(rows, axis=0) for name, array in self._own_columns().items()}
+            keeping = {name: column.take(rows) for name, column in self.housekeeping.items()}
         return Samples(**own, housekeeping=keeping)  # type: ignore[arg-type]
 
     def flagged(self, flag: SampleFlag, where: NDArray[np.bool_]) -> Samples:
