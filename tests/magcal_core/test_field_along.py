@@ -124,7 +124,7 @@ def test_other_models_are_met_as_well(field: FieldModel) -> None:
 
 @pytest.mark.parametrize("epoch", ["20001.00000000", "25001.00000000"])
 def test_polynomials_reach_across_the_knots_of_the_igrf(epoch: str) -> None:
-    """Its slope steps there by some 20 nT a year: 0.0002 nT in the 5 minutes that a polynomial reaches."""
+    """Its slope steps there by some 20 nT a year: 0.0002 nT in the 6 minutes that a polynomial reaches."""
     orbit = _orbit("200 km", epoch)
     t_utc = _seconds(orbit, np.arange(-3000.0, 3000.0))
     along = field_along(orbit, FIELD, t_utc, is_gcrf=False)
