@@ -151,17 +151,18 @@ def _gradients(samples: Samples, source: ReferenceSource) -> _Gradients | None:
     up = r_km / np.linalg.norm(r_km, axis=1, keepdims=True)
     across = np.cross(up, along)
     across /= np.linalg.norm(across, axis=1, keepdims=True)
+    # All in one call: for so few places the field's own time is that of being asked.
+    steps = _STEP_KM * np.stack([along, -along, up, -up, across, -across])
     try:
-        by_along, by_up, by_across = (_change_per_km(source, t_utc, r_km, axis) for axis in (along, up, across))
+        b_nt = source.field.field_itrf_nt(np.tile(t_utc, len(steps)), (r_km + steps).reshape(-1, 3))
     except ModelRangeError:
         return None
+    sides = b_nt.reshape(len(steps), -1, 3)
+    by_along, by_up, by_across = (
+        _difference_nt(ahead, behind, is_vector=source.is_vector) / (2 * _STEP_KM)
+        for ahead, behind in zip(sides[::2], sides[1::2], strict=True)
+    )
     return _Gradients(by_along, by_up, by_across, float(np.sqrt(np.mean(speed**2))))
-
-
-def _change_per_km(source: ReferenceSource, t_utc: Times, r_km: Floats, axis: Floats) -> float:
-    ahead = source.field.field_itrf_nt(t_utc, r_km + _STEP_KM * axis)
-    behind = source.field.field_itrf_nt(t_utc, r_km - _STEP_KM * axis)
-    return _difference_nt(ahead, behind, is_vector=source.is_vector) / (2 * _STEP_KM)
 
 
 def _difference_nt(one: Floats, other: Floats, *, is_vector: bool) -> float:
