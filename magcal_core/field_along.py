@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -68,24 +69,14 @@ def field_along(
 ) -> FieldAlong | None:
     """Return the field along the orbit for the times ``t_utc``; None where it is better asked for at each of them.
 
-    ``margin``: so many intervals before and after those of the times have polynomials too.
-
     That is where they are few or sparse, and where the field or the orbit cannot be had at all places and nodes: the
     samples themselves then tell whether that is an error. ``r_itrf_km``: the orbit's positions, shape (n, 3), where
-    they are known; the nearest and the farthest one must then have a field.
+    they are known; the nearest and the farthest one must then have a field. ``margin``: so many intervals before and
+    after those of the times have polynomials too.
     """
     stamps_ns = nanoseconds(t_utc)
     if len(stamps_ns) < MIN_SAMPLES:
         return None
-
-    def values(nodes_ns: Nanoseconds) -> Floats:
-        nodes = nodes_ns.view("datetime64[ns]")
-        if not isinstance(orbit, BoundedOrbit):
-            return field_at(field, nodes, orbit.position_itrf_km(nodes), is_gcrf=is_gcrf)
-        b_nt, covered = np.full((len(nodes), 3), np.nan), orbit.covers(nodes)
-        b_nt[covered] = field_at(field, nodes[covered], orbit.position_itrf_km(nodes[covered]), is_gcrf=is_gcrf)
-        return b_nt
-
     try:
         if r_itrf_km is not None:
             radii_km = lengths(r_itrf_km)
@@ -96,7 +87,7 @@ def field_along(
             stamps_ns if np.all(stamps_ns[1:] > stamps_ns[:-1]) else np.unique(stamps_ns),
             int(orbit.epoch_utc.astype("datetime64[ns]").astype(np.int64)),
             _interval_ns(orbit),
-            values,
+            partial(_field_at_nodes, orbit, field, is_gcrf),
             samples_per_node=SAMPLES_PER_NODE,
             tolerance=TOLERANCE_NT,
             margin=margin,
@@ -106,6 +97,16 @@ def field_along(
     if pieces is None or pieces.gap_fraction > _MOST_ROUGH:
         return None
     return FieldAlong(orbit, field, is_gcrf, pieces)
+
+
+def _field_at_nodes(orbit: Orbit, field: FieldModel, is_gcrf: bool, nodes_ns: Nanoseconds) -> Floats:
+    """Return the field at nodes, shape (n, 3), nT; NaN at those that an ephemeris does not cover."""
+    nodes = nodes_ns.view("datetime64[ns]")
+    if not isinstance(orbit, BoundedOrbit):
+        return field_at(field, nodes, orbit.position_itrf_km(nodes), is_gcrf=is_gcrf)
+    b_nt, covered = np.full((len(nodes), 3), np.nan), orbit.covers(nodes)
+    b_nt[covered] = field_at(field, nodes[covered], orbit.position_itrf_km(nodes[covered]), is_gcrf=is_gcrf)
+    return b_nt
 
 
 def field_at(field: FieldModel, t_utc: Times, r_itrf_km: Floats, *, is_gcrf: bool) -> Floats:

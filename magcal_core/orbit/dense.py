@@ -21,6 +21,7 @@ from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from magcal_core.constants import EARTH_GM_KM3_S2
+from magcal_core.errors import ModelRangeError, PropagationError
 
 Floats = NDArray[np.float64]
 Nanoseconds = NDArray[np.int64]
@@ -86,9 +87,13 @@ def interpolated(
 ) -> Floats | None:
     """Return a function at ``stamps_ns``, shape (n, 3), from its ``values`` at nodes ``step_ns`` apart.
 
-    None where the samples are too few, or too far apart, for interpolation to pay.
+    None where the samples are too few, or too far apart, for interpolation to pay, and where a node, which lies up to
+    six intervals beyond them, has no value: the samples themselves then tell whether that is an error.
     """
-    fitted = polynomials(stamps_ns, epoch_ns, step_ns, values, samples_per_node=SAMPLES_PER_NODE)
+    try:
+        fitted = polynomials(stamps_ns, epoch_ns, step_ns, values, samples_per_node=SAMPLES_PER_NODE)
+    except (ModelRangeError, PropagationError):
+        return None
     return None if fitted is None else fitted.at(stamps_ns)
 
 

@@ -12,6 +12,7 @@ from magcal_core.orbit.earth_fixed import itrf_to_gcrf_fast, teme_to_itrf_fast
 from magcal_core.orbit.eop import earth_orientation
 from magcal_core.orbit.frames import itrf_to_gcrf, teme_to_itrf
 from magcal_core.orbit.sgp4 import Sgp4Orbit
+from magcal_core.orbit.timescales import julian_utc
 from magcal_core.orbit.tle import checksum
 
 Floats = NDArray[np.float64]
@@ -23,6 +24,10 @@ MOLNIYA = (
 LOW = (
     "1 00001U          22050.50000000  .00010000  00000-0  50000-3 0  999",
     "2 00001  51.6000 120.0000 0010000  90.0000  10.0000 15.80000000    0",
+)
+DECAYING = (
+    "1 00002U          22050.50000000  .10000000  00000-0  50000-2 0  999",
+    "2 00002  51.6000 120.0000 0010000  90.0000  10.0000 16.35000000    0",
 )
 
 
@@ -97,14 +102,30 @@ def test_few_or_scattered_samples_are_not_interpolated(dekart: Sgp4Orbit) -> Non
     epoch_ns = int(dekart.epoch_utc.astype(np.int64))
     step_ns = interval_ns(dekart.elements.perigee_km, dekart.elements.apogee_km)
 
-    def never(stamps_ns: NDArray[np.int64]) -> Floats:
-        raise PropagationError("not wanted")
+    asked: list[int] = []
+
+    def values(stamps_ns: NDArray[np.int64]) -> Floats:
+        asked.append(len(stamps_ns))
+        return np.zeros((len(stamps_ns), 3))
 
     for spacing_s, n in ((1, 999), (100, 5000), (100_000, 5000)):
         stamps = epoch_ns + np.arange(n) * spacing_s * 10**9
-        assert interpolated(stamps, epoch_ns, step_ns, never) is None
+        assert interpolated(stamps, epoch_ns, step_ns, values) is None
+    assert asked == []
+    assert interpolated(epoch_ns + np.arange(5000) * 10**9, epoch_ns, step_ns, values) is not None
+    assert asked == [43 + 11]
+
+
+def test_the_last_minutes_before_the_ground_need_no_node_behind_it() -> None:
+    """No position is given 50 km below the perigee of a TLE: samples up to the last second before have theirs."""
+    orbit = _orbit(DECAYING)
+    later = orbit.epoch_utc + np.arange(86400).astype("timedelta64[s]")
+    radius_km = np.linalg.norm(orbit.elements.satrec().sgp4_array(*julian_utc(later))[1], axis=1)
+    until = later[int(np.argmax(radius_km < orbit.elements.perigee_km - 50.0)) - 1]
+    t_utc = until - np.arange(3000)[::-1].astype("timedelta64[s]")
+    np.testing.assert_allclose(orbit.position_itrf_km(t_utc), _slow(orbit, t_utc), rtol=0, atol=1e-8)
     with pytest.raises(PropagationError):
-        interpolated(epoch_ns + np.arange(5000) * 10**9, epoch_ns, step_ns, never)
+        orbit.position_itrf_km(t_utc + np.timedelta64(1, "s"))
 
 
 def test_the_distance_of_nodes_follows_the_speed_at_the_perigee() -> None:
