@@ -65,17 +65,17 @@ class FieldAlong:
 
 
 def field_along(
-    orbit: Orbit, field: FieldModel, t_utc: Times, *, is_gcrf: bool, r_itrf_km: Floats | None = None, margin: int = 0
+    orbit: Orbit, field: FieldModel, t_utc: Times, *, is_gcrf: bool, r_itrf_km: Floats | None = None, uses: int = 1
 ) -> FieldAlong | None:
     """Return the field along the orbit for the times ``t_utc``; None where it is better asked for at each of them.
 
     That is where they are few or sparse, and where the field or the orbit cannot be had at all places and nodes: the
     samples themselves then tell whether that is an error. ``r_itrf_km``: the orbit's positions, shape (n, 3), where
-    they are known; the nearest and the farthest one must then have a field. ``margin``: so many intervals before and
-    after those of the times have polynomials too.
+    they are known; the nearest and the farthest one must then have a field. ``uses``: how often it will be asked for
+    about each time; what is asked for more than once has polynomials in the intervals beside as well.
     """
     stamps_ns = nanoseconds(t_utc)
-    if len(stamps_ns) < MIN_SAMPLES:
+    if len(stamps_ns) * uses < MIN_SAMPLES:
         return None
     try:
         if r_itrf_km is not None:
@@ -88,9 +88,9 @@ def field_along(
             int(orbit.epoch_utc.astype("datetime64[ns]").astype(np.int64)),
             _interval_ns(orbit),
             partial(_field_at_nodes, orbit, field, is_gcrf),
-            samples_per_node=SAMPLES_PER_NODE,
+            samples_per_node=SAMPLES_PER_NODE / uses,
             tolerance=TOLERANCE_NT,
-            margin=margin,
+            margin=int(uses > 1),
         )
     except (ModelRangeError, PropagationError, OrbitFormatError):
         return None

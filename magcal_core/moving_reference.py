@@ -40,10 +40,12 @@ class MovingReference:
     along: FieldAlong | None = None
 
     @classmethod
-    def about(cls, t_utc: Times, orbits: Sequence[Orbit], field: FieldModel, *, is_gcrf: bool) -> MovingReference:
-        """Return the reference, made ready for times within a minute of ``t_utc``."""
-        is_one = len(orbits) == 1
-        along = field_along(orbits[0], field, t_utc, is_gcrf=is_gcrf, margin=1) if is_one else None
+    def about(
+        cls, t_utc: Times, orbits: Sequence[Orbit], field: FieldModel, *, is_gcrf: bool, uses: int
+    ) -> MovingReference:
+        """Return the reference; what will be asked for several times is made ready for some minute about ``t_utc``."""
+        is_ready = len(orbits) == 1 and uses > 1
+        along = field_along(orbits[0], field, t_utc, is_gcrf=is_gcrf, uses=uses) if is_ready else None
         return cls(orbits, field, is_gcrf, along)
 
     def at(self, t_utc: Times, q_base_gcrf: Floats | None) -> tuple[Floats, Floats | None]:

@@ -25,6 +25,9 @@ Floats = NDArray[np.float64]
 MAX_BAD_FRACTION: Final = 0.05
 """Share of readings that are not finite, and that no reader has flagged, from which on the data are refused."""
 
+_USES: Final = 4
+"""How often a search for the clock asks for the reference at least: twice about each of two places."""
+
 
 def in_time_order(samples: Samples) -> Samples:
     """Return the samples in time order, equal times by their readings, with readings that are not finite flagged.
@@ -119,17 +122,13 @@ class Referenced:
         ``rows``: which of the usable samples; ``shift_s`` is theirs.
         """
         used = _observed(self.samples).take(usable)
-        return self._movable(used if rows == slice(None) else used.take(rows), regressors).at(shift_s)
+        used = used if rows == slice(None) else used.take(rows)
+        return MovableObservations.of(used, regressors, self.orbits, self.field, uses=1).at(shift_s)
 
     def movable(self, usable: NDArray[np.bool_], regressors: Sequence[str]) -> MovableObservations:
-        """Return the ``usable`` samples as an estimator sees them, whose reference can be had at shifted times."""
-        return self._movable(_observed(self.samples).take(usable), regressors)
-
-    def _movable(self, used: Samples, regressors: Sequence[str]) -> MovableObservations:
-        observations = Observations.of(oriented(used, np.ones(len(used), dtype=bool)), regressors)
-        q = None if observations.b_base_nt is None else used.q_base_gcrf
-        reference = MovingReference.about(used.t_utc, self.orbits, self.field, is_gcrf=q is not None)
-        return MovableObservations(observations, used.t_utc, q, reference)
+        """Return the same, made ready to be asked for the reference at shifted times again and again."""
+        used = _observed(self.samples).take(usable)
+        return MovableObservations.of(used, regressors, self.orbits, self.field, uses=_USES)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,6 +151,16 @@ class MovableObservations:
     t_utc: Times
     q_base_gcrf: Floats | None
     reference: MovingReference
+
+    @classmethod
+    def of(
+        cls, samples: Samples, regressors: Sequence[str], orbits: Sequence[Orbit], field: FieldModel, *, uses: int
+    ) -> MovableObservations:
+        """Return what is observed in ``samples``, whose reference will be asked for ``uses`` times."""
+        unmoved = Observations.of(oriented(samples, np.ones(len(samples), dtype=bool)), regressors)
+        q = None if unmoved.b_base_nt is None else samples.q_base_gcrf
+        reference = MovingReference.about(samples.t_utc, orbits, field, is_gcrf=q is not None, uses=uses)
+        return cls(unmoved, samples.t_utc, q, reference)
 
     def at(self, shift_s: Floats, rows: slice = slice(None)) -> Observations:
         """Return the observations ``rows`` with the reference ``shift_s``, shape (rows,), s, after the clock's time.

@@ -90,6 +90,8 @@ def interpolated(
     None where the samples are too few, or too far apart, for interpolation to pay, and where a node, which lies up to
     six intervals beyond them, has no value: the samples themselves then tell whether that is an error.
     """
+    if len(stamps_ns) < MIN_SAMPLES:
+        return None
     try:
         fitted = polynomials(stamps_ns, epoch_ns, step_ns, values, samples_per_node=SAMPLES_PER_NODE)
     except (ModelRangeError, PropagationError):
@@ -103,7 +105,7 @@ def polynomials(
     step_ns: int,
     values: Callable[[Nanoseconds], Floats],
     *,
-    samples_per_node: int,
+    samples_per_node: float,
     tolerance: float | None = None,
     margin: int = 0,
 ) -> Polynomials | None:
@@ -137,10 +139,8 @@ def _nodes(
 ) -> tuple[int, Indices, Indices, Indices] | None:
     """Return where the intervals begin, which nodes are needed, the first of each polynomial, and its row by interval.
 
-    None for samples that are few, or farther apart than the nodes.
+    None for samples that are far farther apart than the nodes.
     """
-    if len(stamps_ns) < MIN_SAMPLES:
-        return None
     first = (int(stamps_ns.min()) - epoch_ns) // step_ns - _BEFORE - margin
     count = (int(stamps_ns.max()) - epoch_ns) // step_ns - first + _NODES - _BEFORE + margin
     if count > 4 * len(stamps_ns):

@@ -256,6 +256,21 @@ def test_a_shifted_reference_is_that_at_the_shifted_times(shift_s: float) -> Non
         np.testing.assert_array_equal(moved.regressors["temperature_c"], unmoved.regressors["temperature_c"])
 
 
+@pytest.mark.parametrize("step_s", [10.0, 20.0])
+def test_what_is_asked_for_again_and_again_is_interpolated_at_sparser_samples(step_s: float) -> None:
+    """As a search for the clock does, at DEKART's 700 samples, within a minute of them and far from them."""
+    orbit = _orbit("200 km, polar")
+    t_utc, q = _seconds(orbit, np.arange(700) * step_s), _attitudes(700)
+    reference = MovingReference.about(t_utc, [orbit], FIELD, is_gcrf=True, uses=4)
+    assert reference.along is not None
+    for shift_s in (-1000.0, -30.0, 0.0, 0.5, 50.0):
+        later = t_utc + np.timedelta64(round(shift_s * 1e9), "ns")
+        want_nt = itrf_to_gcrf(later, _every_sample(orbit, FIELD, later))
+        magnitude_nt, b_base_nt = reference.at(later, q)
+        np.testing.assert_allclose(magnitude_nt, np.linalg.norm(want_nt, axis=1), rtol=0, atol=WITHIN_NT)
+        np.testing.assert_allclose(b_base_nt, _turned(q, want_nt), rtol=0, atol=WITHIN_NT)
+
+
 def test_a_radius_beyond_the_model_is_refused_as_at_every_sample() -> None:
     """Five Earth radii lie between the perigee and the apogee of a transfer orbit; dense or not, the same is said."""
     orbit = _orbit("transfer orbit")
@@ -264,7 +279,7 @@ def test_a_radius_beyond_the_model_is_refused_as_at_every_sample() -> None:
         with pytest.raises(ModelRangeError, match="to 31856 km"):
             _reference(orbit, some)
         with pytest.raises(ModelRangeError, match="to 31856 km"):
-            MovingReference.about(some, [orbit], FIELD, is_gcrf=False).at(some, None)
+            MovingReference.about(some, [orbit], FIELD, is_gcrf=False, uses=4).at(some, None)
 
 
 def test_the_last_samples_within_a_model_need_no_node_beyond_it() -> None:
