@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import erfa
@@ -178,8 +179,15 @@ def _cip_polynomials(days: Sequence[_Day]) -> Floats:
     noon = np.array([2 * (2 * (day.midnight_ns - _J2000_NS) // NS_PER_DAY + 1) for day in days])
     ids = noon[:, None] + np.arange(_CIP_NODES) - _CIP_NODES // 2
     nodes, place = np.unique(ids, return_inverse=True)
-    series = np.stack(erfa.xys06a(erfa.DJ00, nodes / 4.0))
+    series = np.array([_cip_at(quarter) for quarter in nodes.tolist()]).T
     return np.ascontiguousarray(np.einsum("kj,cdj->dck", lagrange_powers(_CIP_NODES), series[:, place]))
+
+
+@lru_cache(maxsize=4096)
+def _cip_at(quarter_days: int) -> tuple[float, float, float]:
+    """Return X, Y and s of IAU 2006/2000A, rad, so many quarter days of TT after J2000: a thousand terms each."""
+    x, y, locator = erfa.xys06a(erfa.DJ00, quarter_days / 4.0)
+    return float(x), float(y), float(locator)
 
 
 def teme_to_itrf_fast(t_utc: Times, r_teme_km: Floats) -> Floats:
