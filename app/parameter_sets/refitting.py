@@ -176,12 +176,12 @@ def _moments(parameter_set_id: str, caller: Caller, db: Db, store: Store) -> Fit
         The set is from before moments were kept, or from a method that leaves none.
     """
     with db.read() as session:
-        row = ParameterSetRepository(session, caller).get(parameter_set_id)
-        if row.moments_sha256 is None:
-            raise NoMomentsError(f"the parameter set has no moments to refit from, by its method, {row.method}, or age")
-        content = store.get(session, moments_key(row.id), row.moments_sha256)
+        sha256 = ParameterSetRepository(session, caller).moments_sha256(parameter_set_id)
+        if sha256 is None:
+            raise NoMomentsError("the parameter set has no moments: its method leaves none, or it is from before them")
+        content = store.get(session, moments_key(parameter_set_id), sha256)
     try:
-        return _decoded(row.moments_sha256, content)
+        return _decoded(sha256, content)
     except MomentsError as error:
         raise NoMomentsError(f"the moments cannot be used by this version: {error}; calibrate again") from error
 

@@ -48,6 +48,15 @@ class ParameterSetRepository:
             raise NotFoundError("no such parameter set")
         return row
 
+    def moments_sha256(self, parameter_set_id: str) -> str | None:
+        """Return the digest of the moments of a parameter set; None where it has none."""
+        reached = within_reach(ParameterSet.satellite_id, self.caller)
+        statement = select(ParameterSet.moments_sha256).where(ParameterSet.id == parameter_set_id, reached)
+        found = self.session.scalars(statement).all()
+        if not found:
+            raise NotFoundError("no such parameter set")
+        return found[0]
+
     def in_force(self, satellite_id: str, magnetometer_id: str) -> ParameterSet | None:
         """Return the parameter set that is in force for a magnetometer, if any is."""
         reached = within_reach(ParameterSet.satellite_id, self.caller)
