@@ -1,4 +1,4 @@
-"""The API over a history of 1,000 whole parameter sets: lists, entity tags, and from an upload to its result."""
+"""The API over a history of 1,000 whole parameter sets: lists, entity tags, from an upload to its result, refits."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ import statistics
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
+
+import numpy as np
 
 from app.database import Database
 from app.demo.mission import SESSIONS, simulated
@@ -21,13 +24,19 @@ from app.schemas import Page
 from app.settings import Settings
 from benchmarks.history import SATELLITE, calibrated, first_set, plant
 from benchmarks.measure import Figure, interleaved_s
+from benchmarks.pipeline import telemetry
 from benchmarks.service import LeanClient, Service, request_of, scratch, service
 from magcal_core.telemetry import write_samples
 
 ROOM: Final = "api"
 SETS: Final = 1000
+PARQUET: Final = "application/vnd.apache.parquet"
 RESULTS: Final = 9
 RESULT_AIM_S: Final = 0.5
+REFITS: Final = 60
+REFIT_SAMPLES: Final = 100_000
+REFIT_AIM_MS: Final = 10.0
+COLUMNS: Final = 6
 LISTS: Final = f"/parameter-sets?satellite={SATELLITE}"
 
 
@@ -45,6 +54,8 @@ def figures() -> Iterator[Figure]:
         yield _against_models(folder)
         with service(folder, "--workers", "0") as running:
             yield from _lists(running)
+    with scratch() as folder, service(folder) as running:
+        yield from _refits(running)
 
 
 def _result(running: Service) -> Figure:
@@ -64,6 +75,41 @@ def _result(running: Service) -> Figure:
     return Figure(
         ROOM, what, median, "s", f"<= {RESULT_AIM_S:g}", median <= RESULT_AIM_S, f"worst {max(durations):.2f}"
     )
+
+
+def _refits(running: Service) -> Iterator[Figure]:
+    """Yield the time to the answer of refits from stored moments, another span left out each time."""
+    random = np.random.default_rng(REFIT_SAMPLES)
+    columns = {f"column {i}": np.cumsum(random.normal(size=REFIT_SAMPLES)) for i in range(COLUMNS)}
+    samples = replace(telemetry(REFIT_SAMPLES, 1.0), housekeeping=columns)
+    with running.client() as api:
+        first_set(api)
+        where, kind = f"/satellites/{SATELLITE}/sessions?magnetometer=mgm", {"Content-Type": PARQUET}
+        sent = api.post(where, content=write_samples(samples, "parquet"), headers=kind).raise_for_status().json()
+        set_id = calibrated(api, sent["id"])["result"]["parameter_set_id"]
+    client = LeanClient(running.port)
+    asked = (
+        ("", "", REFIT_AIM_MS),
+        (" with 200 bootstrap replicates", "&bootstrap=200", None),
+        (f" with regressors chosen among {COLUMNS}", "&regressors=auto", None),
+    )
+    for what, query, aim_ms in asked:
+        client.ask(request_of("GET", f"/parameter-sets/{set_id}/refit?{query}", running.key))
+        cpu_s, durations = running.process.cpu_s(), []
+        for turn in range(REFITS):
+            begin, end = samples.t_utc[1000 * turn], samples.t_utc[1000 * turn + 2000]
+            path = f"/parameter-sets/{set_id}/refit?without={begin}Z/{end}Z{query}"
+            begun = time.perf_counter()
+            status, _, body = client.ask(request_of("GET", path, running.key))
+            durations.append(1e3 * (time.perf_counter() - begun))
+            if status != 200:
+                raise RuntimeError(f"{status}: {body[:300]!r}")
+        median, cpu_ms = statistics.median(durations), 1e3 * (running.process.cpu_s() - cpu_s) / REFITS
+        aim, is_met = (f"<= {aim_ms:g}", median <= aim_ms) if aim_ms else ("", None)
+        note = f"{cpu_ms:.1f} ms of the server's processor each, worst {max(durations):.0f} ms"
+        name = f"refit of a 1e5-sample session from its stored moments{what}, over HTTP"
+        yield Figure(ROOM, name, median, "ms", aim, is_met, note)
+    client.close()
 
 
 def _against_models(folder: Path) -> Figure:
