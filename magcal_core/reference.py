@@ -15,7 +15,8 @@ from magcal_core.errors import OrbitMissingError
 from magcal_core.field import FieldModel
 from magcal_core.field_along import Part, field_of_parts, positions_km
 from magcal_core.orbit import Orbit
-from magcal_core.orbit.choose import MAX_AGE_DAYS, NO_ORBIT, check_age, choose_orbits
+from magcal_core.orbit.choose import MAX_AGE_DAYS, NO_ORBIT, BoundedOrbit, check_age, choose_orbits
+from magcal_core.orbit.timescales import nanoseconds
 from magcal_core.samples import Floats, SampleFlag, Samples, Times
 
 Mask = NDArray[np.bool_]
@@ -124,11 +125,11 @@ def _places(
     entries: list[Mapping[str, object]] = []
     parts: list[Part] = []
     if samples.r_itrf_km is None:
-        choice = choose_orbits(orbits, t_true)
+        choice = choose_orbits(orbits, _deciding(t_true, orbits))
         warnings = check_age(choice, orbits, max_age_days)
         alone = int(choice.index[0]) if len(samples) else NO_ORBIT
         if alone != NO_ORBIT and np.all(choice.index == alone):
-            entries.append(_entry(alone, orbits[alone], choice.age_days))
+            entries.append(_entry(alone, orbits[alone], choice.age_days, len(samples)))
             del choice
             whole = Part(orbits[alone], slice(0, len(samples)))
             return positions_km(orbits[alone], t_true), [whole], warnings, entries
@@ -145,17 +146,25 @@ def _places(
         part = Part.of(orbits[i], rows[chosen])
         r_itrf_km[part.rows] = positions_km(orbits[i], t_true[part.rows])
         parts.append(part)
-        entries.append(_entry(i, orbits[i], choice.age_days[chosen]))
+        entries.append(_entry(i, orbits[i], choice.age_days[chosen], len(chosen)))
     return r_itrf_km, parts, warnings, entries
 
 
-def _entry(index: int, orbit: Orbit, age_days: Floats) -> Mapping[str, object]:
+def _deciding(t_utc: Times, orbits: Sequence[Orbit]) -> Times:
+    """Return the times that decide between the orbits and on their age: of one that reaches everywhere, the ends."""
+    stamps_ns = nanoseconds(t_utc)
+    if len(orbits) != 1 or isinstance(orbits[0], BoundedOrbit) or not len(t_utc):
+        return t_utc
+    return t_utc[[int(stamps_ns.argmin()), int(stamps_ns.argmax())]]
+
+
+def _entry(index: int, orbit: Orbit, age_days: Floats, samples: int) -> Mapping[str, object]:
     return {
         "index": index,
         "model": orbit.model,
         "epoch": f"{np.datetime_as_string(orbit.epoch_utc, unit='us')}Z",
         "age_days": round(float(age_days.max()), 6),
-        "samples": len(age_days),
+        "samples": samples,
     }
 
 
