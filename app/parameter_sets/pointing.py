@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import threading
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Final, cast
 
@@ -13,13 +12,13 @@ from sqlalchemy.orm import Session
 
 from app.auth import Reader
 from app.body import StrictJsonRoute
-from app.errors import BusyError
 from app.keys.repository import Caller
 from app.orbits.choice import chosen
 from app.orbits.repository import OrbitRepository
 from app.orbits.shape import OrbitShape, shape_of
 from app.parameter_sets.repository import ParameterSetRepository
 from app.parameter_sets.tables import ParameterSet
+from app.places import Places
 from app.pointing import ImpactRecord, circle, pointing_of
 from app.records import parameter_set_record
 from app.resources import Db
@@ -30,9 +29,7 @@ if TYPE_CHECKING:
 
 router = APIRouter(route_class=StrictJsonRoute, prefix="/parameter-sets", tags=["parameter sets"])
 
-AT_ONCE: Final = 2
-WAIT_S: Final = 20.0
-_places: Final = threading.BoundedSemaphore(AT_ONCE)
+PLACES: Final = Places("pointing simulations")
 
 
 class PointingQuery(Filter):
@@ -94,14 +91,10 @@ def pointing_impact(parameter_set_id: str, caller: Caller, db: Db) -> ImpactReco
 @lru_cache(maxsize=64)
 def _impact(record: str, active: str | None, orbits: tuple[CircularOrbit, ...]) -> str:
     """Return the pointing as JSON; the same question is answered from memory."""
-    if not _places.acquire(timeout=WAIT_S):
-        raise BusyError("as many pointing simulations run as may run at once; try again")
-    try:
+    with PLACES.one():
         calibrated = parameter_set_record({"status": "candidate"} | json.loads(record))
         other = None if active is None else json.loads(active)["parameters"]
         return json.dumps(pointing_of(calibrated, other, orbits))
-    finally:
-        _places.release()
 
 
 def _active(sets: ParameterSetRepository, row: ParameterSet) -> ParameterSet | None:
