@@ -16,14 +16,15 @@ function shown(record, found) {
   const { bootstrap, time_offset: clock } = found;
   const names = found.changes.map((change) => change.parameter);
   const model = found.ablation.find((one) => one.selected)?.regressors ?? [];
-  const errors = bootstrap ? [number("bootstrap error", (name) => valueOf(bootstrap.standard_errors, name), digits)] : [];
+  const errors = { "standard error": found.standard_errors, ...(bootstrap ? { "bootstrap error": bootstrap.standard_errors } : {}) };
+  const columns = Object.entries(errors).map(([heading, of]) => number(heading, (name) => valueOf(of, name), digits));
   return [
     tiles(["residual RMS", nt(found.rms_nt), `${nt(record.statistics.after.rms_nt)} in the set`],
       ["cross-validated", nt(found.cross_validated_rms_nt), `${nt(record.statistics.cross_validated_rms_nt)} in the set`],
       ["samples", fixed(found.samples, 0), `${fixed(100 * found.left_out_share, 1)} % left out`],
       ["regressors", model.join(", ") || "none", null],
       clock ? ["clock offset", `${fixed(clock.offset_s, 2)} s`, `± ${fixed(clock.standard_error_s, 2)} s`] : null),
-    differenceTable(record, { ...found, id: "refit", parameter_names: names }, ["in the set", "refit", "change"], errors)];
+    differenceTable(record, { ...found, id: "refit", parameter_names: names }, ["in the set", "refit", "change"], columns)];
 }
 
 export function whatIf(record) {
