@@ -58,9 +58,6 @@ def run() -> list[Outcome]:
     count = int(os.environ.get("MAGCAL_POPULATION", MISSIONS))
     deadline = time.monotonic() + 60.0 * float(os.environ.get("MAGCAL_POPULATION_MINUTES", MINUTES))
     workers = len(os.sched_getaffinity(0))
-    # One thread a process: the matrices are small, and more threads only wait for one another.
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"
     outcomes: list[Outcome] = []
     with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
         seeds = list(range(FIRST_SEED, FIRST_SEED + count))

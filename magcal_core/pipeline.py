@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Unpack
 
@@ -26,7 +27,7 @@ from magcal_core.calibration.scale_terms import WithScaleTerms
 from magcal_core.calibration.steps import steps_of
 from magcal_core.calibration.suspicions import ClockFinding, Suspicion, suspicions
 from magcal_core.calibration.time_offset import AUTO_AGE_DAYS, ClockFit, fit_with_clock, with_rates
-from magcal_core.errors import FrameError, OptionError
+from magcal_core.errors import FrameError, OptionError, OrbitMissingError
 from magcal_core.options import CalibrationOptions, OptionValues
 from magcal_core.orbit import Orbit
 from magcal_core.reference import TELEMETRY_POSITION
@@ -188,11 +189,7 @@ def _clock(  # noqa: PLR0917
     if not is_wanted:
         return None
     guide = estimator if estimator.takes_regressors else ESTIMATORS["vector" if estimator.is_vector else "scalar"]
-    names = tuple(observations.regressors)
-
-    def at(shift_s: Floats, rows: slice) -> Observations:
-        return referenced.shifted(usable, names, shift_s, rows)
-
+    at = referenced.movable(usable, tuple(observations.regressors)).at
     return fit_with_clock(guide, at, observations, settings, has_drift=options.time_drift)
 
 
@@ -259,11 +256,9 @@ def _moments(referenced: Referenced, estimate: _Estimate, judgement: Judgement) 
     offered = dict(list(others.items())[: max(MAX_COLUMNS - fitted, 0)])
     o = replace(o, regressors={**o.regressors, **offered})
     if clock is None and referenced.has_orbit:
-
-        def at(shift_s: Floats, rows: slice) -> Observations:
-            return referenced.shifted(estimate.usable, (), shift_s, rows)
-
-        o = with_rates(o, at)
+        # An ephemeris that ends with the telemetry says nothing of where another clock would have the satellite.
+        with suppress(OrbitMissingError):
+            o = with_rates(o, referenced.movable(estimate.usable, ()).at)
     is_clock_fitted = clock is not None and clock.drift_s_per_day is None and not clock.wave_periods_s
     if clock is not None and clock.drift_s_per_day is not None:
         o = _still(o)

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from typing import Any, Final
 
 import click
 
 from magcal_core.errors import InputError, MagcalError
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+"""Said before numpy is loaded, and handed down to jobs: matrices are small here, and a second thread of BLAS mostly
+waits for a core that others work on. Where both are busy, a fit took three times as long with it."""
 
 COMMANDS: Final[dict[str, str]] = {
     "demo": "A whole mission on this machine: server, worker, two sessions, their calibrations.",

@@ -165,7 +165,9 @@ def _shares(moments: FitMoments, without: Sequence[Span]) -> Floats:
 
 def _has_clock(moments: FitMoments, options: RefitOptions) -> bool:
     if options.time_offset and not moments.has_clock:
-        raise OptionError("time_offset: the reference came with the telemetry, there is no clock to move")
+        raise OptionError(
+            "time_offset: the moments have no clock: the reference came with the telemetry, or its orbit ends with it"
+        )
     return moments.is_clock_fitted if options.time_offset is None else options.time_offset
 
 

@@ -13,6 +13,7 @@ from magcal_core.calibration.refitting import Refit, RefitOptions, refit
 from magcal_core.calibration.result import Calibration, Parameters
 from magcal_core.errors import MomentsError, OptionError
 from magcal_core.missions import draw_orbit
+from magcal_core.orbit.oem import parse_oem
 from magcal_core.orbit.sgp4 import Sgp4Orbit
 from magcal_core.pipeline import calibrate
 from magcal_core.samples import Samples
@@ -215,3 +216,22 @@ def test_a_damaged_file_is_refused() -> None:
     content[len(content) // 2] ^= 0xFF
     with pytest.raises(MomentsError):
         FitMoments.from_bytes(bytes(content))
+
+
+def test_an_ephemeris_that_ends_with_the_telemetry_leaves_moments_without_a_clock() -> None:
+    samples, orbit = mission()
+    t_utc = samples.t_utc[:: (len(samples) - 1) // 100]
+    r_km, v_km_s = orbit.state_gcrf(t_utc)
+    states = [" ".join(map(str, [*r, *v])) for r, v in zip(r_km, v_km_s, strict=True)]
+    rows = [f"{str(t)[:26]} {state}" for t, state in zip(t_utc, states, strict=True)]
+    text = (
+        "CCSDS_OEM_VERS = 2.0\nCREATION_DATE = 2022-02-20T00:00:00\nORIGINATOR = TEST\nMETA_START\nOBJECT_NAME = A\n"
+        "OBJECT_ID = 2020-068H\nCENTER_NAME = EARTH\nREF_FRAME = GCRF\nTIME_SYSTEM = UTC\n"
+        f"START_TIME = {str(t_utc[0])[:26]}\nSTOP_TIME = {str(t_utc[-1])[:26]}\nMETA_STOP\n" + "\n".join(rows) + "\n"
+    )
+    covered = samples.take(samples.t_utc <= t_utc[-1])
+    found = calibrate(covered, [parse_oem(text)], with_moments=True).moments
+    assert found is not None
+    assert not found.has_clock
+    with pytest.raises(OptionError, match="no clock"):
+        refit(found, RefitOptions(time_offset=True))
