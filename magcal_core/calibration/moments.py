@@ -44,8 +44,10 @@ Times = NDArray[np.datetime64]
 METHODS: Final = frozenset({"scalar", "scalar-hooke-jeeves", "vector"})
 """Methods whose estimate is the minimum of a sum of squares, which a step from it can be taken of."""
 MAX_COLUMNS: Final = 6
-_BLOCKS: Final = 96
-"""Most blocks with a normal matrix; where the fit has more, neighbours share one."""
+_BLOCKS: Final = (24, 96)
+"""Fewest and most blocks with a normal matrix; where the fit has more blocks, neighbours share one."""
+_ENTRIES: Final = 12_000
+"""Entries of all normal matrices, 50 kB, that a file is to have at most: the more unknowns, the fewer blocks."""
 _FORM: Final = 1
 _LOWER: Final = np.tril_indices(3)
 
@@ -140,7 +142,7 @@ class FitMoments:
     @property
     def firsts(self) -> NDArray[np.intp]:
         """First of the fit's own blocks in each block of ``sums``, shape (m,)."""
-        return _firsts(len(self.weights))
+        return _firsts(len(self.weights), self.own.size)
 
     def parameters(self, own: Floats, names: Sequence[str]) -> Parameters:
         """Return the reported parameters at the unknowns ``own``, with the regressors ``names``."""
@@ -195,7 +197,7 @@ class FitMoments:
             "duration_s": self.duration_s,
         }
         written = io.BytesIO()
-        np.savez_compressed(
+        np.savez(
             written,
             head=np.frombuffer(json.dumps(head).encode(), np.uint8),
             mean=self.mean,
@@ -238,7 +240,7 @@ class FitMoments:
         normals[:, upper[0], upper[1]] = part["normals"]
         normals[:, upper[1], upper[0]] = part["normals"]
         scores, weights = part["scores"].astype(np.float64) * size, part["weights"]
-        firsts = _firsts(len(weights))
+        firsts = _firsts(len(weights), own.size)
         by_block = np.add.reduceat(scores, firsts, axis=0), part["costs"], np.add.reduceat(weights, firsts)
         sums = BlockSums(normals * np.outer(size, size), *by_block)
         columns, fitted = head["columns"], head["fitted"]
@@ -267,9 +269,10 @@ class FitMoments:
         )
 
 
-def _firsts(blocks: int) -> NDArray[np.intp]:
+def _firsts(blocks: int, unknowns: int) -> NDArray[np.intp]:
     """Return the first of each group of neighbours among so many blocks."""
-    return np.arange(0, blocks, -(-blocks // _BLOCKS))
+    groups = min(max(2 * _ENTRIES // (unknowns * (unknowns + 1)), _BLOCKS[0]), _BLOCKS[1])
+    return np.arange(0, blocks, -(-blocks // groups))
 
 
 def moments_of_fit(
@@ -285,7 +288,7 @@ def moments_of_fit(
     z = Standardised.of(tuple(o.regressors), list(o.regressors.values()), len(o))
     every, is_vector = fit.blocks.starts, fit.residuals_nt.ndim == 2
     own, fine, unit = _vector_sums(o, at, z, every) if is_vector else _scalar_sums(o, at, z, every, fit.noise_nt)
-    firsts = _firsts(len(every))
+    firsts = _firsts(len(every), own.size)
     starts, sums = every[firsts], fine.together(firsts)
     made = FitMoments(
         is_vector=is_vector,

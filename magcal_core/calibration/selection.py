@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations, residuals_nt
-from magcal_core.calibration.observability import ENOUGH
 from magcal_core.calibration.one_step import moves_of
 from magcal_core.errors import EstimationError
 
@@ -21,7 +20,7 @@ Floats = NDArray[np.float64]
 
 FOLDS: Final = 6
 """Contiguous blocks of time, equally long, each left out in turn."""
-_MANY: Final = 2 * ENOUGH
+_MANY: Final = 500
 """Samples from which on a fit to the other blocks is first looked for one step away."""
 _SAME: Final = 1e-3
 """Relative difference of a block's residual, after the step and after the refit, up to which they agree."""
@@ -49,7 +48,7 @@ def held_out_residuals_nt(
 
     Notes
     -----
-    Of very many samples, the fits to the other blocks are one step away. They are refitted to the samples, from the
+    But for short sessions, the fits to the other blocks are one step away. They are refitted to the samples, from the
     farthest one on, until one leaves its block the residual that the step left it.
     """
     folds = folds_of(observations.t_s)

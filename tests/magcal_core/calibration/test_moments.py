@@ -190,7 +190,7 @@ def test_no_more_columns_are_kept_than_the_file_has_room_for() -> None:
     ).moments
     assert found is not None
     assert found.columns == ("column 8", *(f"column {i}" for i in range(MAX_COLUMNS - 1)))
-    assert len(found.to_bytes()) < 250_000
+    assert len(found.to_bytes()) < 100_000
 
 
 def test_a_fit_whose_scale_has_regressors_has_no_moments() -> None:

@@ -1,4 +1,4 @@
-"""Blocks left out of very many samples: one step away, and what refits of every block give."""
+"""Blocks left out of long sessions: one step away, and what refits of every block give."""
 
 from dataclasses import replace
 
