@@ -308,11 +308,11 @@ def _honest(
     # A block of the fit has its share, by weight, of its neighbours' normal matrix and of what the step did to them.
     share = moments.weights / np.maximum(moments.sums.weights[of], 1e-300)
     counted = after.weights / np.maximum(moments.sums.weights, 1e-300)
-    moved = after.scores - counted[:, None] * moments.sums.scores
-    scores = counted[of, None] * moments.scores + share[:, None] * moved[of]
-    normals = moments.softened * share[:, None, None] * problem.sums.normals[of]
+    moved = (after.scores - counted[:, None] * moments.sums.scores)[:, take]
     counts = counted[of] > 0
-    scores, normals = scores[counts][:, take], normals[counts][:, take[:, None], take]
+    scores = (counted[of, None] * moments.scores[:, take] + share[:, None] * moved[of])[counts]
+    shared = problem.sums.normals[:, take[:, None], take][of[counts]]
+    normals = (moments.softened * share[counts])[:, None, None] * shared
     before = moments.sums
     ratio = float(after.costs.sum() / after.weights.sum()) / float(before.costs.sum() / before.weights.sum())
     formal = ratio * moments.noise * jacobian @ scaled_inverse(normals.sum(axis=0)) @ jacobian.T
