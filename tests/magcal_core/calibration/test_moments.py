@@ -130,6 +130,19 @@ def test_the_clock_is_found_as_by_a_calibration(method: str) -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
+def test_one_step_of_the_clock_goes_nearly_all_of_the_way_of_half_a_minute(method: str) -> None:
+    _, orbit = mission()
+    disturbed = Disturbances(20.0, time_offset_s=30.0)
+    late = simulate(orbit, SENSOR, START, 14000.0, 10.0, rate_deg_s=0.5, disturbances=disturbed, seed=2).samples
+    kept = calibrate(late, [orbit], method=method, time_offset="none", with_moments=True).moments
+    assert kept is not None
+    found = refit(kept, RefitOptions(time_offset=True)).time_offset
+    assert found is not None
+    # The second derivative of |B| over 30 s is some 2 % of the first.
+    assert found.offset_s == pytest.approx(30.0, rel=0.03)
+
+
+@pytest.mark.parametrize("method", METHODS)
 def test_a_fit_with_a_clock_keeps_it_among_the_unknowns(method: str) -> None:
     regressors = ("temperature",)
     kept, whole = moments(method, "none", regressors, "estimate"), calibrated(method, "none", regressors, "estimate")
