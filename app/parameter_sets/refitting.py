@@ -55,7 +55,8 @@ class RefitQuery(Filter):
         default_factory=list,
         max_length=MOST_SPANS,
         description="Spans of time to leave out, each FROM/UNTIL in ISO 8601 with Z, such as "
-        "2026-11-22T10:00:00Z/2026-11-22T10:05:00Z; to within the length of a block, a sixtieth of the data.",
+        "2026-11-22T10:00:00Z/2026-11-22T10:05:00Z; to within the length of a block, of which there are "
+        "96 at most and 24 where many columns are kept.",
     )
     bootstrap: int = Field(
         0, ge=0, le=MOST_REPLICATES, description="Replicates of a bootstrap over blocks of time; 0 for none."

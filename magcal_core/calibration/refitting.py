@@ -47,7 +47,7 @@ class RefitOptions:
     time_offset : bool, optional
         Whether the clock's offset is an unknown. As in the fit unless given.
     without : tuple of (begin, end)
-        Spans of time, UTC, to leave out: to within a block, less than a hundredth of long data.
+        Spans of time, UTC, to leave out: to within a block, of which there are 96 at most, 24 with many columns.
     bootstrap, seed : int
         Replicates, none unless given, and the seed that they are drawn with.
     """
@@ -141,7 +141,7 @@ def refit(moments: FitMoments, options: RefitOptions) -> Refit:
         names, ablation = _chosen(problem)
     else:
         problem.require(chosen)
-        names = tuple(chosen)
+        names = tuple(dict.fromkeys(chosen))
         ablation = tuple(problem.tried(one) for one in dict.fromkeys([(), names]))
     ablation = tuple(replace(row, is_selected=row.regressors == names) for row in ablation)
     return _refit(problem, names, ablation, left_out, options)
@@ -152,15 +152,26 @@ def _shares(moments: FitMoments, without: Sequence[Span]) -> Floats:
     begins, ends = moments.begins, moments.ends
     length = np.maximum((ends - begins) / np.timedelta64(1, "ns"), 1.0)
     inside = np.zeros(len(begins))
-    for begin, end in without:
-        if not begin < end:
-            raise OptionError("without: a span of time ends before it begins")
+    for begin, end in _apart(without):
         overlap = np.minimum(ends, end) - np.maximum(begins, begin)
         inside += np.maximum(overlap / np.timedelta64(1, "ns"), 0.0) / length
     shares = np.clip(1.0 - inside, 0.0, 1.0)
     if float(moments.sums.weights @ shares) < LEAST_SHARE * float(moments.sums.weights.sum()):
         raise OptionError(f"without: the spans leave less than {LEAST_SHARE:.0%} of the data")
     return np.asarray(shares)
+
+
+def _apart(spans: Sequence[Span]) -> list[Span]:
+    """Return the spans in order, those that overlap as one."""
+    apart: list[Span] = []
+    for begin, end in sorted(spans):
+        if not begin < end:
+            raise OptionError("without: a span of time ends before it begins")
+        if apart and begin <= apart[-1][1]:
+            apart[-1] = (apart[-1][0], max(apart[-1][1], end))
+        else:
+            apart.append((begin, end))
+    return apart
 
 
 def _has_clock(moments: FitMoments, options: RefitOptions) -> bool:

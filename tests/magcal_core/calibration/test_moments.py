@@ -168,6 +168,15 @@ def test_spans_of_time_are_left_out(method: str) -> None:
     assert found.samples == pytest.approx(np.count_nonzero(is_kept), abs=10)
 
 
+def test_spans_that_overlap_are_left_out_once() -> None:
+    t_utc = mission()[0].t_utc
+    parts = ((t_utc[500], t_utc[604]), (t_utc[301], t_utc[550]), (t_utc[301], t_utc[550]))
+    found = refit(moments("scalar"), RefitOptions(without=parts))
+    whole = refit(moments("scalar"), RefitOptions(without=((t_utc[301], t_utc[604]),)))
+    assert found.left_out_share == whole.left_out_share
+    np.testing.assert_array_equal(found.parameters.vector, whole.parameters.vector)
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_bootstrap_agrees_with_that_of_the_samples(method: str) -> None:
     samples, orbit = mission()
