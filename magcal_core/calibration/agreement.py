@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from magcal_core.calibration.result import Parameters
 
 Floats = NDArray[np.float64]
 
-_COMPARED = 9
+_COMPARED: Final = 9
 """Bias, scale factors and angles: a clock belongs to the orbit, and regressors move the bias."""
 
 
@@ -80,15 +81,17 @@ def agreement_with(
     Notes
     -----
     The axes of a vector calibration are those of the attitude, of a scalar one its own; and a bias beside other
-    regressors is the bias at other values of them.
+    regressors is the bias at other values of them. Only what both have is compared: one may have a clock that the
+    other lacks, and their regressors may stand in another order.
     """
     if is_vector is not active.is_vector or set(parameters.regressors) != set(active.parameters.regressors):
         return None
-    step = (parameters.vector - active.parameters.vector[: len(parameters.vector)])[:_COMPARED]
-    both = covariance[:_COMPARED, :_COMPARED] + active.covariance[:_COMPARED, :_COMPARED]
+    names = parameters.names[:_COMPARED]
+    step = parameters.vector[:_COMPARED] - active.values_of(names)
+    both = covariance[:_COMPARED, :_COMPARED] + active.covariance_of(names)
     if not np.isfinite(both).all():
         return None
-    differences = differences_of(parameters.names[:_COMPARED], step, both, "new")
+    differences = differences_of(names, step, both, "new")
     size_nt, error_nt = field_change(active.parameters, mean_field_nt, step, both)
     return Agreement(
         differences,

@@ -43,6 +43,19 @@ class ActiveSet:
     residual_rms_nt: float
     is_vector: bool
 
+    def values_of(self, names: Sequence[str]) -> Floats:
+        """Return the parameters ``names``, which the set must have, in that order."""
+        return self.parameters.vector[self._places(names)]
+
+    def covariance_of(self, names: Sequence[str]) -> Floats:
+        """Return the covariance of the parameters ``names``, which the set must have, in that order."""
+        at = self._places(names)
+        return self.covariance[np.ix_(at, at)]
+
+    def _places(self, names: Sequence[str]) -> list[int]:
+        own = self.parameters.names
+        return [own.index(name) for name in names]
+
     @classmethod
     def from_record(cls, record: Mapping[str, object]) -> ActiveSet:
         """Return the active set in a parameter set's record.
@@ -186,7 +199,7 @@ def judge_moments(moments: SessionMoments, active: ActiveSet) -> SessionJudgemen
         reason = Reason("insufficient_samples", f"{moments.samples} samples, {MIN_SAMPLES} are needed")
         return _judgement("too_short", (reason,), moments, active, _Drift((), 0.0, 0.0, 1.0))
     step, covariance = _step(moments)
-    total = covariance + active.covariance[:p, :p]
+    total = covariance + active.covariance_of(moments.at.names)
     drifts = differences_of(moments.at.names, step, total, "session")
     size_nt, error_nt = field_change(moments.at, moments.mean_field_nt, step, total)
     drift = _Drift(drifts, size_nt, error_nt, min(1.0, p * drifts[0].p_value))
