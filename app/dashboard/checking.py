@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-import numpy as np
-
 from app.errors import ConflictError
-from app.records import ParameterSetRecord, ParametersRecord
+from app.records import ParameterSetRecord
 from magcal_core.calibration.fit import Observations, residuals_nt
 from magcal_core.calibration.result import Parameters
 from magcal_core.field.models import field_model
@@ -31,7 +29,7 @@ def residual_under(samples: Samples, orbits: Sequence[Orbit], record: ParameterS
     InputError
         There is no reference field for the samples.
     """
-    parameters = _parameters(record["parameters"])
+    parameters = Parameters.from_record(record)
     if TIME_REGRESSOR in map(source_of, parameters.regressors):
         raise ConflictError("the parameter set drifts with the time since its own data: it says nothing of others")
     used = samples.take(samples.is_used)
@@ -40,13 +38,3 @@ def residual_under(samples: Samples, orbits: Sequence[Orbit], record: ParameterS
     referenced, _ = with_reference(thinned, orbits, field, time_offset_s=parameters.time_offset_s or 0.0)
     observations = Observations.of(referenced, tuple(parameters.regressors))
     return residuals_nt(observations, parameters, is_vector=False)
-
-
-def _parameters(record: ParametersRecord) -> Parameters:
-    return Parameters(
-        bias_nt=np.array(record["bias_nt"], dtype=np.float64),
-        scale=np.array(record["scale"], dtype=np.float64),
-        nonorthogonality_deg=np.array(record["nonorthogonality_deg"], dtype=np.float64),
-        time_offset_s=record["time_offset_s"],
-        regressors={name: np.array(value, dtype=np.float64) for name, value in record["regressors"].items()},
-    )

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from magcal_core.calibration.result import Parameters
 from magcal_core.errors import Fault, TelemetryFormatError
 from magcal_core.regressor_columns import is_of_scale, missing_columns, source_of
 from magcal_core.samples import Floats, Samples
@@ -23,12 +24,8 @@ class Correction:
     @classmethod
     def of(cls, record: Mapping[str, object]) -> Correction:
         """Return the correction that a parameter set's record describes."""
-        parameters = record["parameters"]
-        if not isinstance(parameters, dict):
-            raise TypeError("a parameter set without parameters")
-        bias, scale, angles = (np.array(parameters[name]) for name in ("bias_nt", "scale", "nonorthogonality_deg"))
-        regressors = {name: np.array(value) for name, value in parameters["regressors"].items()}
-        return cls(SensorModel(bias, scale, angles), regressors)
+        found = Parameters.from_record(record)
+        return cls(SensorModel(found.bias_nt, found.scale, found.nonorthogonality_deg), found.regressors)
 
     def apply(self, samples: Samples) -> Samples:
         """Return ``samples`` with corrected readings in the base frame, nT."""

@@ -65,14 +65,13 @@ class ActiveSet:
         InputError
             The record lacks what a parameter set has.
         """
+        parameters = Parameters.from_record(record)
+        if len(parameters.regressors) > 1 and "parameter_names" not in record:
+            raise InputError("the record is no parameter set: no parameter_names, which the covariance is ordered by")
         try:
-            values, statistics = record["parameters"], record["statistics"]
-            if not isinstance(values, Mapping) or not isinstance(statistics, Mapping):
-                raise InputError("the record is no parameter set: parameters and statistics are not mappings")
-            bias, scale, angles = (np.array(values[group], np.float64) for group in _PRIOR)
-            clock = values.get("time_offset_s")
-            slopes = {name: np.array(slope, np.float64) for name, slope in dict(values.get("regressors", {})).items()}
-            parameters = Parameters(bias, scale, angles, None if clock is None else float(clock), slopes)
+            statistics = record["statistics"]
+            if not isinstance(statistics, Mapping):
+                raise InputError("the record is no parameter set: statistics are not a mapping")
             covariance = np.array(record["covariance"], np.float64)
             rms_nt = float(statistics["after"]["rms_nt"])
         except (KeyError, TypeError, ValueError) as error:

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from magcal_core.errors import InputError
 
 if TYPE_CHECKING:
     from magcal_core.calibration.moments import FitMoments
 
 Floats = NDArray[np.float64]
+
+_GROUPS: Final = ("bias_nt", "scale", "nonorthogonality_deg")
+_SLOPE: Final = "regressors."
+"""How the name of a regressor's coefficient begins."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,8 +48,8 @@ class Parameters:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters in the order of the covariance."""
-        base = [f"{group}[{i}]" for group in ("bias_nt", "scale", "nonorthogonality_deg") for i in range(3)]
-        extra = [f"regressors.{name}[{i}]" for name in self.regressors for i in range(3)]
+        base = [f"{group}[{i}]" for group in _GROUPS for i in range(3)]
+        extra = [f"{_SLOPE}{name}[{i}]" for name in self.regressors for i in range(3)]
         clock = [] if self.time_offset_s is None else ["time_offset_s"]
         return (*base, *extra, *clock)
 
@@ -61,6 +67,30 @@ class Parameters:
         clock = None if self.time_offset_s is None else float(values[-1])
         return Parameters(values[0:3], values[3:6], values[6:9], clock, regressors)
 
+    @classmethod
+    def from_record(cls, record: Mapping[str, object]) -> Parameters:
+        """Return the parameters of a parameter set's record, regressors in the order of its ``parameter_names``.
+
+        The order of the keys of a JSON object says nothing: a database may give them back in another one, while the
+        covariance keeps the order of ``parameter_names``.
+
+        Raises
+        ------
+        InputError
+            The record lacks what a parameter set has, or its ``parameter_names`` are not those of its regressors.
+        """
+        try:
+            values = record["parameters"]
+            if not isinstance(values, Mapping):
+                raise InputError("the record is no parameter set: parameters are not a mapping")
+            bias, scale, angles = (np.array(values[group], np.float64) for group in _GROUPS)
+            clock = values.get("time_offset_s")
+            slopes = {name: np.array(slope, np.float64) for name, slope in dict(values.get("regressors", {})).items()}
+            order = _regressor_order(record.get("parameter_names"), slopes)
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"the record is no parameter set: {error}") from error
+        return cls(bias, scale, angles, None if clock is None else float(clock), {name: slopes[name] for name in order})
+
     def to_dict(self) -> dict[str, object]:
         """Return the parameters as the records of the service have them."""
         return {
@@ -70,6 +100,21 @@ class Parameters:
             "time_offset_s": self.time_offset_s,
             "regressors": {name: value.tolist() for name, value in self.regressors.items()},
         }
+
+
+def _regressor_order(names: object, slopes: Mapping[str, Floats]) -> list[str]:
+    """Return the regressors ``slopes`` in the order in which the ``parameter_names`` of a record have them.
+
+    Without ``names`` the order is any: then nothing may be read from the record that relies on it.
+    """
+    if names is None:
+        return list(slopes)
+    own = [str(name) for name in names] if isinstance(names, Sequence) else []
+    of_slopes = [name.removeprefix(_SLOPE).rpartition("[")[0] for name in own if name.startswith(_SLOPE)]
+    order = list(dict.fromkeys(of_slopes))
+    if set(order) != set(slopes):
+        raise InputError("the record is no parameter set: parameter_names do not have its regressors")
+    return order
 
 
 @dataclass(frozen=True, slots=True)

@@ -135,6 +135,58 @@ def test_the_active_set_is_read_from_its_record(orbit) -> None:
         ActiveSet.from_record({"parameters": {}})
 
 
+def as_postgresql_has_it(value):
+    """Return a record as JSONB gives it back: keys by their length, then by their bytes."""
+    if isinstance(value, dict):
+        return {key: as_postgresql_has_it(value[key]) for key in sorted(value, key=lambda k: (len(k), k.encode()))}
+    return [as_postgresql_has_it(one) for one in value] if isinstance(value, list) else value
+
+
+def with_columns(o: Observations, seed: int, *, moved: float = 0.0) -> Observations:
+    """Return the observations with a warm-up of some degrees and a current of some tens of mA, and what they do."""
+    noise = np.random.default_rng(seed).normal(size=(2, len(o)))
+    warm, current = 10.0 * np.sin(o.t_s / 900.0) + noise[0], 0.02 * (np.sin(o.t_s / 70.0) > 0) + 1e-4 * noise[1]
+    h_nt = o.h_nt + warm[:, None] * [20.0, -10.0, 5.0] + current[:, None] * [9e3, 6e3 + moved, -4e3]
+    return replace(o, h_nt=h_nt, regressors={"temperature": warm, "amps": current})
+
+
+def test_the_order_of_keys_in_a_record_says_nothing(orbit) -> None:
+    """JSONB turns temperature, amps to amps, temperature; slopes and errors differ by a factor of 600."""
+    active = active_of(with_columns(session(orbit, SENSOR, 1, samples=1150), 1))
+    record = {
+        "method": "scalar",
+        "parameters": active.parameters.to_dict(),
+        "parameter_names": list(active.parameters.names),
+        "covariance": active.covariance.tolist(),
+        "statistics": {"after": {"rms_nt": active.residual_rms_nt}},
+    }
+    sorted_record = as_postgresql_has_it(record)
+    assert list(sorted_record["parameters"]["regressors"]) == ["amps", "temperature"]
+    new = with_columns(session(orbit, MOVED, 2, days=1), 2, moved=5e4)
+    expected = judge_session(new, active)
+    assert {drift.parameter for drift in expected.drifts[:3]} & {"regressors.amps[1]"}
+    assert judge_session(new, ActiveSet.from_record(record)).to_dict() == expected.to_dict()
+    assert judge_session(new, ActiveSet.from_record(sorted_record)).to_dict() == expected.to_dict()
+    del sorted_record["parameter_names"]
+    with pytest.raises(InputError, match="parameter_names"):
+        ActiveSet.from_record(sorted_record)
+
+
+def test_the_errors_of_a_set_with_terms_of_the_scale_are_those_of_their_names(orbit) -> None:
+    """A term of the scale before one of the bias: the judgement takes the errors of the latter."""
+    active = active_of(with_columns(session(orbit, SENSOR, 1, samples=1150), 1))
+    p = active.parameters
+    first = replace(p, regressors={"amps*h": np.zeros(3), **p.regressors})
+    at = [first.names.index(name) for name in p.names]
+    covariance = 1e6 * np.eye(len(first.names))
+    covariance[np.ix_(at, at)] = active.covariance
+    longer = replace(active, parameters=first, covariance=covariance)
+    new = with_columns(session(orbit, MOVED, 2, days=1), 2)
+    product = new.regressors["amps"][:, None] * new.h_nt
+    wider = replace(new, regressors={"amps*h": product, **new.regressors})
+    assert judge_session(wider, longer).to_dict() == judge_session(new, active).to_dict()
+
+
 def test_a_judgement_takes_milliseconds(orbit) -> None:
     """Processor time of one call; 20 ms allow for a machine at work on other things."""
     active, new = active_of(session(orbit, SENSOR, 1)), session(orbit, MOVED, 2, days=1)
