@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.calibration.corrections import correct, corrected_lengths, lengths
+from magcal_core.calibration.estimators.parts import FirstOrder, FullMatrix
 from magcal_core.calibration.result import Candidate, Parameters
 from magcal_core.errors import OptionError, OrbitMissingError, TelemetryValueError, TooFewSamplesError, UnitsError
 from magcal_core.regressor_columns import TIME_REGRESSOR, is_of_scale, regressor_of, source_of, term_nt
@@ -249,6 +250,7 @@ class Fit:
         Unknowns of the clock on top of the reference's: offset, s, and drift, s/s; the last rows of the covariance.
     cost : float
         Sum of squares (of robust losses) at the estimate, nT^2.
+    full_matrix, first_order : what the vector methods, and the search of the DEKART paper, find beside.
     """
 
     method: str
@@ -267,7 +269,14 @@ class Fit:
     clock: Floats = field(default_factory=lambda: np.zeros(0))
     candidates: tuple[Candidate, ...] = ()
     warnings: tuple[str, ...] = ()
-    extras: Mapping[str, object] = field(default_factory=dict)
+    full_matrix: FullMatrix | None = None
+    first_order: FirstOrder | None = None
+
+    @property
+    def extras(self) -> dict[str, object]:
+        """What only some methods find, under the names that the record gives it."""
+        parts = {"full_matrix": self.full_matrix, "first_order": self.first_order}
+        return {name: part.to_dict() for name, part in parts.items() if part is not None}
 
     @property
     def formal_standard_errors(self) -> Parameters:

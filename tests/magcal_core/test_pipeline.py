@@ -108,13 +108,15 @@ def test_readings_that_are_not_finite_are_flagged_and_left_out(nominal):
         calibrate(replace(nominal, h_nt=h))
 
 
-def test_reference_in_a_turned_frame_is_refused_with_the_reason(nominal):
-    turn = np.deg2rad(8.0)
+@pytest.mark.parametrize("method", ["vector", "vector-closed-form"])
+@pytest.mark.parametrize("turn_deg", [5.0, 8.0])
+def test_reference_in_a_turned_frame_is_refused_with_the_reason(nominal, method, turn_deg):
+    turn = np.deg2rad(turn_deg)
     rotation = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
-    got = calibrate(replace(nominal, b_ref_base_nt=nominal.b_ref_base_nt @ rotation), method="vector")
+    got = calibrate(replace(nominal, b_ref_base_nt=nominal.b_ref_base_nt @ rotation), method=method)
     assert got.verdict.grade == "refuse"
     assert "misaligned" in [reason.code for reason in got.verdict.reasons]
-    assert got.extras["full_matrix"]["rotation_deg"] == pytest.approx(8.0, abs=0.1)
+    assert got.extras["full_matrix"]["rotation_deg"] == pytest.approx(turn_deg, abs=0.1)
 
 
 def test_samples_without_a_reference_need_an_orbit(nominal):
