@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.calibration.consistency import ParameterDifference
-from magcal_core.calibration.equations import block_equations
+from magcal_core.calibration.equations import block_equations, equations_at
 from magcal_core.calibration.fit import BlockScores, Observations, residuals_nt
 from magcal_core.calibration.result import Parameters, Reason
 from magcal_core.calibration.scale_terms import without_scale_terms
@@ -32,6 +32,8 @@ _BLOCKS: Final = 64
 _PRIOR: Final[Mapping[str, float]] = {"bias_nt": 2e4, "scale": 0.3, "nonorthogonality_deg": 20.0}
 """How far a parameter may have drifted at all: only there to keep what a session does not show from running away."""
 _DIRECTIONS: Final = 64
+_NOISE_STEP: Final = 1e-3
+"""Step of the reading, as a share of the field, that derivatives of the scores are taken over."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,12 +89,15 @@ class SessionMoments:
     ----------
     at : the parameters (without clock) that the sums were taken at.
     blocks : scores and normal matrices of short blocks, in those parameters.
+    noise_score : shape (p,)
+        What noise of 1 nT in each component adds to the sum of the scores in the mean, 1/nT^2.
     samples, duration_s, cost, mean_nt, rms_nt, mean_field_nt
         Count; time that they cover, s; sum of squares, nT^2; mean and RMS of the residual, and mean |B|, nT.
     """
 
     at: Parameters
     blocks: BlockScores
+    noise_score: Floats
     samples: int
     duration_s: float
     cost: float
@@ -167,6 +172,7 @@ def moments_of(observations: Observations, parameters: Parameters, *, is_vector:
     return SessionMoments(
         at=at,
         blocks=blocks,
+        noise_score=_noise_score(o, at, whole.gradient, is_vector=is_vector),
         samples=int(np.count_nonzero(used)),
         duration_s=covered_s(o.t_s),
         cost=whole.cost,
@@ -174,6 +180,26 @@ def moments_of(observations: Observations, parameters: Parameters, *, is_vector:
         rms_nt=float(np.sqrt(np.mean(r[used] ** 2))),
         mean_field_nt=float(o.b_nt[used].mean()),
     )
+
+
+def _noise_score(o: Observations, at: Parameters, score: Floats, *, is_vector: bool) -> Floats:
+    """Return what noise of 1 nT in each component adds to the sum of scores, of ``score`` now, in the mean.
+
+    Notes
+    -----
+    1/2 sum over axes of the second derivative of the score by the reading, by differences. |B| is not linear in the
+    reading: where a session hardly shows a combination of parameters, noise moves it the same way in every sample. The
+    residual of a vector calibration is linear, its derivatives have no noise.
+    """
+    if is_vector:
+        return np.zeros_like(score)
+    step_nt = _NOISE_STEP * float(o.b_nt.mean())
+    total = np.zeros_like(score)
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            moved = replace(o, h_nt=o.h_nt + sign * step_nt * np.eye(3)[axis])
+            total += equations_at(moved, at, is_vector=False).gradient - score
+    return np.asarray(0.5 * total / step_nt**2)
 
 
 def judge_session(observations: Observations, active: ActiveSet) -> SessionJudgement:
@@ -197,9 +223,10 @@ def judge_moments(moments: SessionMoments, active: ActiveSet) -> SessionJudgemen
     if moments.samples < MIN_SAMPLES:
         reason = Reason("insufficient_samples", f"{moments.samples} samples, {MIN_SAMPLES} are needed")
         return _judgement("too_short", (reason,), moments, active, _Drift((), 0.0, 0.0, 1.0))
-    step, covariance = _step(moments)
+    rows = moments.samples * (3 if active.is_vector else 1)
+    step, covariance = _step(moments, rows)
     total = covariance + active.covariance_of(moments.at.names)
-    drifts = differences_of(moments.at.names, step, total, "session")
+    drifts = differences_of(moments.at.names, step, total, "session", _freedom(covariance, total, rows - p))
     size_nt, error_nt = field_change(moments.at, moments.mean_field_nt, step, total)
     drift = _Drift(drifts, size_nt, error_nt, min(1.0, p * drifts[0].p_value))
     reasons, grade = _reasons(moments, active, drift)
@@ -237,8 +264,20 @@ def _ratio(moments: SessionMoments, active: ActiveSet) -> float:
     return moments.rms_nt / max(active.residual_rms_nt, 1e-9 * moments.mean_field_nt)
 
 
-def _step(moments: SessionMoments) -> tuple[Floats, Floats]:
-    """Return the Gauss-Newton step and its honest covariance."""
+def _freedom(own: Floats, total: Floats, rows: int) -> Floats:
+    """Return the degrees of freedom of each error of ``total``, of which the part ``own`` has ``rows`` of them.
+
+    Notes
+    -----
+    Welch and Satterthwaite, (sum of variances)^2 / sum of (variance^2 / freedom), with the active set's own variance
+    taken for known: a session of 12 samples has three residuals to tell its noise from, and a drift of nine parameters
+    that is believed once in a thousand is then one of 28 standard errors, not of 4.
+    """
+    return np.asarray(max(rows, 1) * (np.diag(total) / np.maximum(np.diag(own), 1e-300)) ** 2)
+
+
+def _step(moments: SessionMoments, rows: int) -> tuple[Floats, Floats]:
+    """Return the Gauss-Newton step and its honest covariance; ``rows``: number of residuals."""
     blocks = moments.blocks
     normal, gradient = blocks.normals.sum(axis=0), blocks.scores.sum(axis=0)
     p = gradient.size
@@ -247,12 +286,12 @@ def _step(moments: SessionMoments) -> tuple[Floats, Floats]:
     widths = np.array([(dict(_PRIOR) | slopes)[group] for group in groups])
     loose = np.diag(1.0 / widths**2)
     # The residual's variance enters the prior's weight, and the prior hardly enters the variance: two rounds settle it.
-    variance, step = moments.cost / moments.samples, np.zeros(p)
+    variance, step = moments.cost / rows, np.zeros(p)
     for _ in range(2):
         total = normal + variance * loose
         step = -_solve(total, gradient)
         left = moments.cost + 2.0 * gradient @ step + step @ normal @ step
-        variance = max(float(left) / max(moments.samples - p, 1), 1e-12 * moments.cost / moments.samples, 1e-300)
+        variance = max(float(left) / max(rows - p, 1), 1e-12 * moments.cost / rows, 1e-300)
     inverse = _solve(total, np.eye(p))
     after = blocks.scores + blocks.normals @ step
     settled = BlockScores(
@@ -261,7 +300,9 @@ def _step(moments: SessionMoments) -> tuple[Floats, Floats]:
         np.concatenate([blocks.starts, [moments.samples]]),
         np.eye(p),
     )
-    return step, honest_covariance(settled, inverse * variance, moments.samples, moments.duration_s).covariance
+    honest = honest_covariance(settled, inverse * variance, moments.samples, moments.duration_s).covariance
+    shift = inverse @ moments.noise_score * variance
+    return step, honest + np.outer(shift, shift)
 
 
 def _solve(normal: Floats, right: Floats) -> Floats:
@@ -272,17 +313,22 @@ def _solve(normal: Floats, right: Floats) -> Floats:
 
 
 def differences_of(
-    names: Sequence[str], step: Floats, covariance: Floats, second: str
+    names: Sequence[str], step: Floats, covariance: Floats, second: str, freedom: Floats | None = None
 ) -> tuple[ParameterDifference, ...]:
-    """Return the ``step`` from the active parameters to those of ``second``, the most significant first."""
-    from scipy.special import ndtr
+    """Return the ``step`` from the active parameters to those of ``second``, the most significant first.
+
+    ``freedom``: degrees of freedom of each error, shape (p,), for Student's t; the normal law unless given.
+    """
+    from scipy.special import ndtr, stdtr
 
     errors = np.sqrt(np.diag(covariance))
+    sigmas = np.abs(step) / np.maximum(errors, 1e-300)
+    tails = 2.0 * (ndtr(-sigmas) if freedom is None else stdtr(freedom, -sigmas))
     found = [
-        ParameterDifference(name, "active", second, float(d), float(e), float(2.0 * ndtr(-abs(d) / max(e, 1e-300))))
-        for name, d, e in zip(names, step, errors, strict=True)
+        ParameterDifference(name, "active", second, float(d), float(e), float(p))
+        for name, d, e, p in zip(names, step, errors, tails, strict=True)
     ]
-    return tuple(sorted(found, key=lambda one: -one.sigmas))
+    return tuple(sorted(found, key=lambda one: (one.p_value, -one.sigmas)))
 
 
 def field_change(at: Parameters, mean_field_nt: float, step: Floats, covariance: Floats) -> tuple[float, float]:

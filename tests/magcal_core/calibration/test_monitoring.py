@@ -11,6 +11,7 @@ import pytest
 
 from magcal_core.calibration.fit import FitSettings, Observations
 from magcal_core.calibration.monitoring import ActiveSet, judge_moments, judge_session, moments_of
+from magcal_core.calibration.result import Parameters
 from magcal_core.calibration.scalar import ScalarFit
 from magcal_core.calibration.uncertainty import covered_s, honest_covariance
 from magcal_core.calibration.vector import VectorFit
@@ -133,6 +134,50 @@ def test_the_active_set_is_read_from_its_record(orbit) -> None:
     assert judge_session(new, ActiveSet.from_record(record)).to_dict() == judge_session(new, active).to_dict()
     with pytest.raises(InputError):
         ActiveSet.from_record({"parameters": {}})
+
+
+def short_session(samples: int, rng: np.random.Generator, motion: str) -> Observations:
+    """Return a session of `SENSOR` at 10 s with 80 nT of noise: directions at random, or a tumble at 0.5 to 3 deg/s."""
+    t_s = 10.0 * np.arange(samples)
+    if motion == "random":
+        u = rng.normal(size=(samples, 3))
+    else:
+        turn = np.deg2rad(rng.uniform(0.5, 3.0)) * t_s
+        u = np.column_stack([np.cos(turn), 0.8 * np.sin(turn), 0.6 * np.sin(turn)]) * np.cos(0.41 * turn)[:, None]
+        u += np.sin(0.41 * turn)[:, None] * np.array([0.0, 0.6, 0.8])
+        u = u @ np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    b_nt = 35e3 + 8e3 * np.sin(2.0 * np.pi * t_s / 5700.0 + rng.uniform(0.0, 6.0))
+    h_nt = SENSOR.apply(b_nt[:, None] * u) + 80.0 * rng.normal(size=(samples, 3))
+    return Observations(
+        t_s, np.ascontiguousarray(h_nt), b_nt, np.ascontiguousarray(b_nt[:, None] * u), np.ones(samples)
+    )
+
+
+@pytest.mark.parametrize(
+    ("samples", "motion", "is_vector"),
+    [(12, "random", False), (16, "random", False), (30, "tumble", False), (12, "random", True)],
+)
+def test_short_sessions_of_a_sound_sensor_are_seldom_called_drifted(samples: int, motion: str, is_vector: bool) -> None:
+    """The stated rate is 0.1 %: 0.4 of 400 sessions; four and more would be one run in a thousand.
+
+    Measured over 1,000 sessions each: 0.1 % or less. With the normal law it was 5 % at 12 samples and 1.7 % at 16;
+    without the part of the noise that |B| makes a drift of, 2.5 % of the tumbles.
+    """
+    known = Parameters(SENSOR.bias_nt, SENSOR.scale, SENSOR.nonorthogonality_deg)
+    active = ActiveSet(known, np.diag([0.02] * 3 + [5e-7] * 3 + [3e-5] * 3) ** 2, 80.0, is_vector)
+    rng = np.random.default_rng(samples)
+    found = [judge_session(short_session(samples, rng, motion), active) for _ in range(400)]
+    assert sum(one.p_value < 1e-3 for one in found) <= 3
+
+
+def test_a_short_session_still_shows_what_is_many_errors_large() -> None:
+    """16 samples leave seven residuals: 5 uT are some 60 standard errors of 80 nT noise."""
+    rng = np.random.default_rng(1)
+    known = Parameters(SENSOR.bias_nt - np.array([5000.0, 0.0, 0.0]), SENSOR.scale, SENSOR.nonorthogonality_deg)
+    active = ActiveSet(known, np.diag([20.0] * 3 + [5e-4] * 3 + [0.03] * 3) ** 2, 80.0, is_vector=False)
+    grades = [judge_session(short_session(16, rng, "random"), active).grade for _ in range(20)]
+    assert grades.count("disagrees") >= 19
 
 
 def as_postgresql_has_it(value):
