@@ -32,7 +32,7 @@ from magcal_core.options import CalibrationOptions, OptionValues
 from magcal_core.orbit import Orbit
 from magcal_core.reference import TELEMETRY_POSITION
 from magcal_core.referenced import Referenced
-from magcal_core.regressor_columns import is_of_scale
+from magcal_core.regressor_columns import TIME_REGRESSOR, is_of_scale
 from magcal_core.residual_table import residual_table
 from magcal_core.samples import Samples
 from magcal_core.sensor import SensorModel
@@ -155,7 +155,15 @@ def _estimate(referenced: Referenced, options: CalibrationOptions) -> _Estimate:
     else:
         observations = clock.observations
         fit = clock.fit if estimator.takes_regressors else _at_clock(estimator, observations, settings, clock)
+    fit = _since(fit, referenced.samples, usable)
     return _Estimate(estimator, options, settings, usable, observations, fit, clock, tried, ablation)
+
+
+def _since(fit: Fit, samples: Samples, usable: NDArray[np.bool_]) -> Fit:
+    """Return the fit with the instant since which ``time`` counts its hours: the first of the ``usable`` samples."""
+    if not fit.parameters.follows_time or TIME_REGRESSOR in samples.housekeeping:
+        return fit
+    return replace(fit, parameters=replace(fit.parameters, time_base_utc=samples.t_utc[usable][0]))
 
 
 def _taken(tried: ClockFit | None, options: CalibrationOptions) -> ClockFit | None:

@@ -14,11 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Times = NDArray[np.datetime64]
 
 TIME_REGRESSOR: Final = "time"
-"""Name of the regressor that is no column: hours since the first sample."""
+"""Name of the regressor that is no column: hours since the time base of the parameters, their first used sample."""
 OF_SCALE: Final = "*h"
 """Ending of a regressor that moves the scale."""
+
+
+NO_TIME_BASE: Final = (
+    "the parameter set drifts with time and does not say since when: calibrate anew to have one that does"
+)
 
 
 def source_of(name: str) -> str:
@@ -34,6 +40,21 @@ def is_of_scale(name: str) -> bool:
 def missing_columns(names: Iterable[str], columns: Mapping[str, Floats]) -> list[str]:
     """Return the columns that regressors need and ``columns`` lacks."""
     return [source for source in dict.fromkeys(map(source_of, names)) if source not in columns]
+
+
+def hours_since(t_utc: np.datetime64, base_utc: np.datetime64) -> float:
+    """Return how many hours ``t_utc`` is after ``base_utc``."""
+    return float((t_utc - base_utc) / np.timedelta64(1, "ns")) * 1e-9 / 3600.0
+
+
+def with_time(columns: Mapping[str, Floats], t_utc: Times, base_utc: np.datetime64 | None) -> dict[str, Floats]:
+    """Return ``columns`` with the hours since ``base_utc`` under the name of the regressor ``time``.
+
+    As they are where there is no base, and where they have a column of that name.
+    """
+    if base_utc is None or TIME_REGRESSOR in columns:
+        return dict(columns)
+    return {**columns, TIME_REGRESSOR: (t_utc - base_utc) / np.timedelta64(1, "ns") * 1e-9 / 3600.0}
 
 
 def regressor_of(name: str, column: Floats, h_nt: Floats) -> Floats:

@@ -12,7 +12,7 @@ from magcal_core.calibration.result import Parameters
 from magcal_core.field.models import field_model
 from magcal_core.orbit import Orbit
 from magcal_core.reference import with_reference
-from magcal_core.regressor_columns import TIME_REGRESSOR, source_of
+from magcal_core.regressor_columns import NO_TIME_BASE, TIME_REGRESSOR
 from magcal_core.samples import Floats, Samples
 
 MOST_SAMPLES: Final = 20_000
@@ -25,16 +25,19 @@ def residual_under(samples: Samples, orbits: Sequence[Orbit], record: ParameterS
     Raises
     ------
     ConflictError
-        The parameter set has a regressor that counts from the start of its own data.
+        The parameter set drifts with time and does not say since when.
     InputError
         There is no reference field for the samples.
     """
     parameters = Parameters.from_record(record)
-    if TIME_REGRESSOR in map(source_of, parameters.regressors):
-        raise ConflictError("the parameter set drifts with the time since its own data: it says nothing of others")
+    is_since = parameters.follows_time and TIME_REGRESSOR not in samples.housekeeping
+    if is_since and parameters.time_base_utc is None:
+        raise ConflictError(NO_TIME_BASE)
     used = samples.take(samples.is_used)
     thinned = used.take(slice(None, None, max(len(used) // MOST_SAMPLES, 1)))
     field = field_model(record["field_model"])
     referenced, _ = with_reference(thinned, orbits, field, time_offset_s=parameters.time_offset_s or 0.0)
+    if is_since:
+        parameters = parameters.at_time_base(referenced.t_utc[referenced.is_used][0])
     observations = Observations.of(referenced, tuple(parameters.regressors))
     return residuals_nt(observations, parameters, is_vector=False)

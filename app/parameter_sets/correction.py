@@ -9,7 +9,7 @@ import numpy as np
 
 from magcal_core.calibration.result import Parameters
 from magcal_core.errors import Fault, TelemetryFormatError
-from magcal_core.regressor_columns import is_of_scale, missing_columns, source_of
+from magcal_core.regressor_columns import is_of_scale, missing_columns, source_of, with_time
 from magcal_core.samples import Floats, Samples
 from magcal_core.sensor import SensorModel
 
@@ -20,12 +20,15 @@ class Correction:
 
     sensor: SensorModel
     regressors: Mapping[str, Floats]
+    time_base_utc: np.datetime64 | None = None
 
     @classmethod
     def of(cls, record: Mapping[str, object]) -> Correction:
         """Return the correction that a parameter set's record describes."""
         found = Parameters.from_record(record)
-        return cls(SensorModel(found.bias_nt, found.scale, found.nonorthogonality_deg), found.regressors)
+        return cls(
+            SensorModel(found.bias_nt, found.scale, found.nonorthogonality_deg), found.regressors, found.time_base_utc
+        )
 
     def apply(self, samples: Samples) -> Samples:
         """Return ``samples`` with corrected readings in the base frame, nT."""
@@ -39,12 +42,13 @@ class Correction:
 
     def _terms(self, samples: Samples) -> tuple[Floats, Floats]:
         """Return what the bias and, as a share of the raw reading, the scale add to each reading, shape (n, 3)."""
-        missing = missing_columns(self.regressors, samples.housekeeping)
+        keeping = with_time(samples.housekeeping, samples.t_utc, self.time_base_utc)
+        missing = missing_columns(self.regressors, keeping)
         if missing:
             faults = [Fault(f"column {name}", "missing; the parameter set has it as a regressor") for name in missing]
             raise TelemetryFormatError("the telemetry lacks a regressor of the parameter set", faults)
         drift_nt, share = np.zeros_like(samples.h_nt), np.zeros_like(samples.h_nt)
         for name, change in self.regressors.items():
             added = share if is_of_scale(name) else drift_nt
-            added += samples.housekeeping[source_of(name)][:, None] * change
+            added += keeping[source_of(name)][:, None] * change
         return drift_nt, share

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.calibration.consistency import ParameterDifference
-from magcal_core.calibration.monitoring import MATERIAL_SHARE, SIGNIFICANT_P, ActiveSet, differences_of, field_change
+from magcal_core.calibration.monitoring import MATERIAL_SHARE, SIGNIFICANT_P, ActiveSet, differences_of
 from magcal_core.calibration.result import Parameters
+from magcal_core.calibration.sessions.field_change import field_change
 
 Floats = NDArray[np.float64]
 
@@ -73,8 +74,8 @@ def agreement_with(
 ) -> Agreement | None:
     """Return how ``parameters`` differ from the ``active`` ones; None where the two cannot be compared.
 
-    They cannot where one is of a vector method and the other is not, where the regressors are others, and where one has
-    no errors.
+    They cannot where one is of a vector method and the other is not, where the regressors are others, where one has no
+    errors, and where one alone says since when it drifts.
 
     ``covariance``: honest, shape (p, p), in the order of `Parameters.names`.
 
@@ -86,6 +87,9 @@ def agreement_with(
     """
     if is_vector is not active.is_vector or set(parameters.regressors) != set(active.parameters.regressors):
         return None
+    if parameters.follows_time and (parameters.time_base_utc is None) is not (active.parameters.time_base_utc is None):
+        return None
+    active = active.at_time_base(parameters.time_base_utc)
     names = parameters.names[:_COMPARED]
     step = parameters.vector[:_COMPARED] - active.values_of(names)
     both = covariance[:_COMPARED, :_COMPARED] + active.covariance_of(names)

@@ -14,9 +14,9 @@ from magcal_core.calibration.equations import block_equations, equations_at
 from magcal_core.calibration.fit import BlockScores, Observations, residuals_nt
 from magcal_core.calibration.result import Parameters, Reason
 from magcal_core.calibration.scale_terms import without_scale_terms
+from magcal_core.calibration.sessions.field_change import field_change
 from magcal_core.calibration.uncertainty import covered_s, honest_covariance
 from magcal_core.errors import InputError, OptionError
-from magcal_core.sensor import matrix_of_parameters
 
 Floats = NDArray[np.float64]
 
@@ -31,7 +31,6 @@ MATERIAL_SHARE: Final = 0.01
 _BLOCKS: Final = 64
 _PRIOR: Final[Mapping[str, float]] = {"bias_nt": 2e4, "scale": 0.3, "nonorthogonality_deg": 20.0}
 """How far a parameter may have drifted at all: only there to keep what a session does not show from running away."""
-_DIRECTIONS: Final = 64
 _NOISE_STEP: Final = 1e-3
 """Step of the reading, as a share of the field, that derivatives of the scores are taken over."""
 
@@ -53,6 +52,24 @@ class ActiveSet:
         """Return the covariance of the parameters ``names``, which the set must have, in that order."""
         at = self._places(names)
         return self.covariance[np.ix_(at, at)]
+
+    def at_time_base(self, time_base_utc: np.datetime64 | None) -> ActiveSet:
+        """Return the set with the regressor ``time`` counted since another instant, where it has that regressor."""
+        if time_base_utc is None or self.parameters.time_base_utc is None:
+            return self
+        at = self.parameters.vector
+        steps = np.maximum(np.sqrt(np.abs(np.diag(self.covariance))), 1e-6 * np.maximum(np.abs(at), 1.0))
+
+        def moved(values: Floats) -> Floats:
+            return self.parameters.with_vector(values).at_time_base(time_base_utc).vector
+
+        nudges = zip(0.5 * np.diag(steps), steps, strict=True)
+        carry = np.column_stack([(moved(at + nudge) - moved(at - nudge)) / step for nudge, step in nudges])
+        return replace(
+            self,
+            parameters=self.parameters.at_time_base(time_base_utc),
+            covariance=carry @ self.covariance @ carry.T,
+        )
 
     def _places(self, names: Sequence[str]) -> list[int]:
         own = self.parameters.names
@@ -329,40 +346,6 @@ def differences_of(
         for name, d, e, p in zip(names, step, errors, tails, strict=True)
     ]
     return tuple(sorted(found, key=lambda one: (one.p_value, -one.sigmas)))
-
-
-def field_change(at: Parameters, mean_field_nt: float, step: Floats, covariance: Floats) -> tuple[float, float]:
-    """Return the change of the corrected field by ``step`` and its error, nT, root mean square over directions.
-
-    ``step`` and ``covariance``: in the order of `Parameters.names`, of which the first nine count.
-    """
-    b_nt = mean_field_nt * _sphere()
-    angles_deg, scale = at.nonorthogonality_deg, at.scale
-    matrix = matrix_of_parameters(scale, np.deg2rad(angles_deg))
-    inverse = np.linalg.inv(matrix)
-    columns = [np.tile(inverse[:, i], (len(b_nt), 1)) for i in range(3)]
-    for i in range(3):
-        row = np.zeros((3, 3))
-        row[i] = matrix[i] / scale[i]
-        columns.append(b_nt @ (inverse @ row).T)
-    for i in range(3):
-        nudged = angles_deg.copy()
-        nudged[i] += 1e-3
-        slope = (matrix_of_parameters(scale, np.deg2rad(nudged)) - matrix) / 1e-3
-        columns.append(b_nt @ (inverse @ slope).T)
-    jacobian = np.stack(columns, axis=-1).reshape(-1, 9)
-    count = len(b_nt)
-    size = float(np.sqrt(np.sum((jacobian @ step[:9]) ** 2) / count))
-    error = float(np.sqrt(max(np.einsum("ij,jk,ik->", jacobian, covariance[:9, :9], jacobian), 0.0) / count))
-    return size, error
-
-
-def _sphere() -> Floats:
-    turns = np.arange(_DIRECTIONS) + 0.5
-    z = 1.0 - 2.0 * turns / _DIRECTIONS
-    angle = turns * np.pi * (1.0 + np.sqrt(5.0))
-    radius = np.sqrt(1.0 - z**2)
-    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), z])
 
 
 def _reasons(moments: SessionMoments, active: ActiveSet, drift: _Drift) -> tuple[list[Reason], str]:
