@@ -10,16 +10,17 @@ from sqlalchemy import select
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
-from app.database import new_id, utc_now
+from app.access.audit_trail import record_event
+from app.access.caller import Caller
 from app.errors import NotFoundError
-from app.keys.repository import Caller, record_event
+from app.http.paging import fetch_page
+from app.http.schemas import utc_text
 from app.orbits.parsing import ParsedOrbit
 from app.orbits.schemas import OrbitQuery
 from app.orbits.tables import OrbitRow
-from app.paging import fetch_page
 from app.satellites.repository import SatelliteRepository
-from app.schemas import utc_text
-from app.store import digest
+from app.storage.database import new_id, utc_now
+from app.storage.store import digest
 from magcal_core.errors import OptionError
 
 MOST_EPHEMERIDES: Final = 400

@@ -3,133 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final, Protocol
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats
+from magcal_core.calibration.estimators.contract import Candidate
+from magcal_core.calibration.observability.information import Observability
+from magcal_core.calibration.reasons import Verdict
+from magcal_core.calibration.residuals import ResidualStatistics, ResidualTable
 from magcal_core.errors import InputError
-from magcal_core.regressor_columns import OF_SCALE, TIME_REGRESSOR, hours_since, source_of
+from magcal_core.sensor.parameters import Parameters
 
 if TYPE_CHECKING:
-    from magcal_core.calibration.moments import FitMoments
+    from magcal_core.calibration.refit.moments import FitMoments
 
-Floats = NDArray[np.float64]
 
 _GROUPS: Final = ("bias_nt", "scale", "nonorthogonality_deg")
 _SLOPE: Final = "regressors."
 """How the name of a regressor's coefficient begins."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Parameters:
-    """Parameters of the sensor model h = T B + b, or their standard errors: the same shape serves both.
-
-    Attributes
-    ----------
-    bias_nt : shape (3,)
-        Zero offset b, nT.
-    scale : shape (3,)
-        Scale factors k.
-    nonorthogonality_deg : shape (3,)
-        Angles e1, e2, e3 of the sensing axes, deg.
-    time_offset_s : float or None
-        Seconds to add to the telemetry's clock to have the orbit's time; None where it was not estimated.
-    regressors : name -> shape (3,)
-        Change of the bias per unit of each regressor, nT per unit.
-    time_base_utc : datetime64 or None
-        Since when the regressor ``time`` counts its hours: bias and scale are those of that instant.
-    """
-
-    bias_nt: Floats
-    scale: Floats
-    nonorthogonality_deg: Floats
-    time_offset_s: float | None = None
-    regressors: Mapping[str, Floats] = field(default_factory=dict)
-    time_base_utc: np.datetime64 | None = None
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters in the order of the covariance."""
-        base = [f"{group}[{i}]" for group in _GROUPS for i in range(3)]
-        extra = [f"{_SLOPE}{name}[{i}]" for name in self.regressors for i in range(3)]
-        clock = [] if self.time_offset_s is None else ["time_offset_s"]
-        return (*base, *extra, *clock)
-
-    @property
-    def vector(self) -> Floats:
-        """The parameters in one array, in the order of `names`."""
-        extra = [self.regressors[name] for name in self.regressors]
-        clock = [] if self.time_offset_s is None else [np.array([self.time_offset_s])]
-        return np.concatenate([self.bias_nt, self.scale, self.nonorthogonality_deg, *extra, *clock])
-
-    def with_vector(self, values: Floats) -> Parameters:
-        """Return parameters of the same shape with other ``values``, in the order of `names`."""
-        names = list(self.regressors)
-        regressors = {name: values[9 + 3 * i : 12 + 3 * i] for i, name in enumerate(names)}
-        clock = None if self.time_offset_s is None else float(values[-1])
-        return Parameters(values[0:3], values[3:6], values[6:9], clock, regressors, self.time_base_utc)
-
-    @property
-    def follows_time(self) -> bool:
-        """Whether bias or scale change with the regressor ``time``."""
-        return TIME_REGRESSOR in map(source_of, self.regressors)
-
-    def at_time_base(self, time_base_utc: np.datetime64) -> Parameters:
-        """Return the same sensor with ``time`` counted since another instant; itself where nothing counts so.
-
-        Notes
-        -----
-        h (1 - c t) - b - d t = T B with t = t0 + t': divided by 1 - c t0 it has its old form in t', axis by axis.
-        """
-        if self.time_base_utc is None:
-            return self
-        hours = hours_since(time_base_utc, self.time_base_utc)
-        share = 1.0 - hours * self.regressors.get(f"{TIME_REGRESSOR}{OF_SCALE}", np.zeros(3))
-        bias_nt = self.bias_nt + hours * self.regressors.get(TIME_REGRESSOR, np.zeros(3))
-        slopes = {name: slope / share for name, slope in self.regressors.items()}
-        return replace(
-            self, bias_nt=bias_nt / share, scale=self.scale / share, regressors=slopes, time_base_utc=time_base_utc
-        )
-
-    @classmethod
-    def from_record(cls, record: Mapping[str, object]) -> Parameters:
-        """Return the parameters of a parameter set's record, regressors in the order of its ``parameter_names``.
-
-        The order of the keys of a JSON object says nothing: a database may give them back in another one, while the
-        covariance keeps the order of ``parameter_names``.
-
-        Raises
-        ------
-        InputError
-            The record lacks what a parameter set has, or its ``parameter_names`` are not those of its regressors.
-        """
-        try:
-            values = record["parameters"]
-            if not isinstance(values, Mapping):
-                raise InputError("the record is no parameter set: parameters are not a mapping")
-            bias, scale, angles = (np.array(values[group], np.float64) for group in _GROUPS)
-            clock, base = values.get("time_offset_s"), values.get("time_base_utc")
-            since = None if base is None else np.datetime64(str(base).removesuffix("Z"), "ns")
-            slopes = {name: np.array(slope, np.float64) for name, slope in dict(values.get("regressors", {})).items()}
-            order = _regressor_order(record.get("parameter_names"), slopes)
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"the record is no parameter set: {error}") from error
-        ordered = {name: slopes[name] for name in order}
-        return cls(bias, scale, angles, None if clock is None else float(clock), ordered, since)
-
-    def to_dict(self) -> dict[str, object]:
-        """Return the parameters as the records of the service have them."""
-        base = {} if self.time_base_utc is None else {"time_base_utc": utc_text(self.time_base_utc)}
-        return {
-            "bias_nt": self.bias_nt.tolist(),
-            "scale": self.scale.tolist(),
-            "nonorthogonality_deg": self.nonorthogonality_deg.tolist(),
-            "time_offset_s": self.time_offset_s,
-            "regressors": {name: value.tolist() for name, value in self.regressors.items()},
-            **base,
-        }
 
 
 def _regressor_order(names: object, slopes: Mapping[str, Floats]) -> list[str]:
@@ -145,160 +38,6 @@ def _regressor_order(names: object, slopes: Mapping[str, Floats]) -> list[str]:
     if set(order) != set(slopes):
         raise InputError("the record is no parameter set: parameter_names do not have its regressors")
     return order
-
-
-@dataclass(frozen=True, slots=True)
-class ResidualStatistics:
-    """Statistics of a residual, nT; ``max_percent`` is the largest |residual| / |model|, in per cent."""
-
-    mean_nt: float
-    std_nt: float
-    rms_nt: float
-    max_abs_nt: float
-    max_percent: float
-
-    def to_dict(self) -> dict[str, float]:
-        """Return the statistics as the records of the service have them."""
-        return {name: getattr(self, name) for name in self.__slots__}
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Candidate:
-    """One candidate solution of the closed form; ``undefined`` says why there is none at this root."""
-
-    roots: tuple[int, int]
-    parameters: Parameters | None
-    cost: float | None
-    stationarity: float | None
-    is_stationary: bool
-    is_selected: bool
-    undefined: str | None = None
-    spread: Mapping[str, float] = field(default_factory=dict)
-
-    def to_dict(self) -> dict[str, object]:
-        """Return the candidate as the records of the service have it."""
-        return {
-            "roots": list(self.roots),
-            "parameters": None if self.parameters is None else self.parameters.to_dict(),
-            "cost": self.cost,
-            "stationarity": self.stationarity,
-            "is_stationary": self.is_stationary,
-            "selected": self.is_selected,
-            "undefined": self.undefined,
-            "spread": dict(self.spread),
-        }
-
-
-@dataclass(frozen=True, slots=True)
-class Reason:
-    """One machine-readable reason of a verdict."""
-
-    code: str
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """What magcal says of a parameter set in one word, ``accept``, ``weak`` or ``refuse``, with the reasons."""
-
-    grade: str
-    reasons: tuple[Reason, ...]
-
-    def to_dict(self) -> dict[str, object]:
-        """Return the verdict as the records of the service have it."""
-        return {"grade": self.grade, "reasons": [f"{reason.code}: {reason.text}" for reason in self.reasons]}
-
-
-@dataclass(frozen=True, slots=True)
-class Observability:
-    """How well the samples determine the parameters (`docs/references.md`: magcal-observability)."""
-
-    index: float
-    condition_number: float
-    sphere_coverage: float
-    weak_directions: tuple[str, ...]
-
-    def to_dict(self) -> dict[str, object]:
-        """Return the figures as the records of the service have them."""
-        return {
-            "index": self.index,
-            "condition_number": self.condition_number,
-            "sphere_coverage": self.sphere_coverage,
-            "weak_directions": list(self.weak_directions),
-        }
-
-
-class Readings(Protocol):
-    """Raw and corrected readings of every sample of a residual table: kept, or computed whenever they are asked for."""
-
-    @property
-    def raw_nt(self) -> Floats:
-        """Magnitude of the raw reading, shape (n,), nT."""
-        ...
-
-    @property
-    def corrected_nt(self) -> Floats:
-        """Magnitude of the corrected reading, shape (n,), nT."""
-        ...
-
-    @property
-    def corrected_base_nt(self) -> Floats | None:
-        """Corrected reading T^-1 (h - b), shape (n, 3), base frame, nT; None where only magnitudes are known."""
-        ...
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StoredReadings:
-    """`Readings` that were read from a file."""
-
-    raw_nt: Floats
-    corrected_nt: Floats
-    corrected_base_nt: Floats | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ResidualTable:
-    """Residual of every sample of a calibration, the left-out ones included, in time order.
-
-    Attributes
-    ----------
-    t_utc : datetime64[ns], shape (n,)
-    model_nt : shape (n,)
-        Magnitude of the reference field, nT; NaN where there is none.
-    residual_nt : shape (n,) or (n, 3)
-        |corrected| - |model| for scalar methods, corrected - model in the base frame for vector methods.
-    weight : shape (n,)
-        Weight of the sample in the fit, 0 where it was left out.
-    flags : shape (n,)
-        `SampleFlag` bits.
-    readings : Readings
-        Raw and corrected readings: where on the body sphere a residual arose.
-    r_itrf_km : shape (n, 3), optional
-        Position, ITRF, km: where over the Earth a residual arose.
-    """
-
-    t_utc: NDArray[np.datetime64]
-    model_nt: Floats
-    residual_nt: Floats
-    weight: Floats
-    flags: NDArray[np.uint16]
-    readings: Readings
-    r_itrf_km: Floats | None = None
-
-    @property
-    def raw_nt(self) -> Floats:
-        """Magnitude of the raw reading, shape (n,), nT."""
-        return self.readings.raw_nt
-
-    @property
-    def corrected_nt(self) -> Floats:
-        """Magnitude of the corrected reading, shape (n,), nT."""
-        return self.readings.corrected_nt
-
-    @property
-    def corrected_base_nt(self) -> Floats | None:
-        """Corrected reading, shape (n, 3), base frame, nT; None where only magnitudes are known."""
-        return self.readings.corrected_base_nt
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from magcal_core.arrays import Floats
 
 MISALIGNED_P: Final = 1e-6
 """Probability below which the lower-triangular hypothesis is given up."""

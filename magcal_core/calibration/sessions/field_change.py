@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from magcal_core.calibration.result import Parameters
-from magcal_core.sensor import matrix_of_parameters
-
-Floats = NDArray[np.float64]
+from magcal_core.arrays import Floats
+from magcal_core.sensor.model import matrix_of_parameters
+from magcal_core.sensor.parameters import Parameters
 
 _DIRECTIONS: Final = 64
 

@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magcal_core.calibration.agreement import Agreement
-from magcal_core.calibration.consistency import ParameterDifference
-from magcal_core.calibration.result import Parameters, ResidualStatistics
-from magcal_core.calibration.verdict import Evidence, judge
+from magcal_core.calibration.residuals import ResidualStatistics
+from magcal_core.calibration.sessions.consistency import ParameterDifference
+from magcal_core.calibration.verdict.agreement import Agreement
+from magcal_core.calibration.verdict.verdict import Evidence, judge
+from magcal_core.sensor.parameters import Parameters
 
 PARAMETERS = Parameters(np.array([2900.0, -1200.0, -1900.0]), np.array([1.03, 1.01, 1.04]), np.array([-4.0, -1.5, 7.0]))
 ERRORS = Parameters(np.full(3, 10.0), np.full(3, 3e-4), np.full(3, 0.02))
