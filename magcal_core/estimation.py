@@ -15,8 +15,9 @@ from magcal_core.calibration.terms.regressor_selection import Ablation, ablation
 from magcal_core.errors import OptionError
 from magcal_core.observations import Observations
 from magcal_core.options import CalibrationOptions
-from magcal_core.pipeline import _since, _taken
 from magcal_core.reference.referenced_samples import Referenced
+from magcal_core.samples import Samples
+from magcal_core.sensor.regressors import TIME_REGRESSOR
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,3 +116,15 @@ def _at_clock(estimator: Estimator, observations: Observations, settings: FitSet
     return replace(
         fit, parameters=parameters, covariance=clock.fit.covariance, blocks=clock.fit.blocks, clock=clock.fit.clock
     )
+
+
+def _since(fit: Fit, samples: Samples, usable: NDArray[np.bool_]) -> Fit:
+    """Return the fit with the instant since which ``time`` counts its hours: the first of the ``usable`` samples."""
+    if not fit.parameters.follows_time or TIME_REGRESSOR in samples.housekeeping:
+        return fit
+    return replace(fit, parameters=replace(fit.parameters, time_base_utc=samples.t_utc[usable][0]))
+
+
+def _taken(tried: ClockFit | None, options: CalibrationOptions) -> ClockFit | None:
+    """Return the clock that is part of the result: one that was asked for, or that the data show."""
+    return tried if tried is not None and (options.time_offset == "estimate" or tried.is_significant) else None

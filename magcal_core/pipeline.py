@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import Unpack
 
 import numpy as np
-from numpy.typing import NDArray
 
 from magcal_core.arrays import Progress
 from magcal_core.calibration.diagnosis.device_steps import steps_of
@@ -16,12 +15,11 @@ from magcal_core.calibration.diagnosis.mounting import mounting_of
 from magcal_core.calibration.diagnosis.residual_table import residual_table
 from magcal_core.calibration.diagnosis.residual_warnings import residual_warnings
 from magcal_core.calibration.diagnosis.wrong_input.suspicions import ClockFinding, Suspicion, suspicions
-from magcal_core.calibration.estimators.contract import Fit
 from magcal_core.calibration.refit.moments import MAX_COLUMNS, FitMoments, moments_of_fit
 from magcal_core.calibration.refit.moments import METHODS as MOMENTS_METHODS
 from magcal_core.calibration.result import Calibration
 from magcal_core.calibration.sessions.monitoring import ActiveSet
-from magcal_core.calibration.terms.clock import ClockFit, with_rates
+from magcal_core.calibration.terms.clock import with_rates
 from magcal_core.calibration.terms.regressor_selection import usable_columns
 from magcal_core.calibration.uncertainty.bootstrap import bootstrap
 from magcal_core.calibration.uncertainty.consider_errors import ReferenceShift, reference_shifts
@@ -36,7 +34,7 @@ from magcal_core.reference.error_budget import ReferenceSource, error_budget
 from magcal_core.reference.referenced_samples import Referenced
 from magcal_core.samples import Samples
 from magcal_core.sensor.model import SensorModel
-from magcal_core.sensor.regressors import TIME_REGRESSOR, is_of_scale
+from magcal_core.sensor.regressors import is_of_scale
 
 __all__ = ["CalibrationOptions", "calibrate"]
 
@@ -106,18 +104,6 @@ def calibrate(
     calibration = _assemble(referenced, estimate, judgement, left_out, suspected, moments)
     tell(1.0)
     return calibration
-
-
-def _since(fit: Fit, samples: Samples, usable: NDArray[np.bool_]) -> Fit:
-    """Return the fit with the instant since which ``time`` counts its hours: the first of the ``usable`` samples."""
-    if not fit.parameters.follows_time or TIME_REGRESSOR in samples.housekeeping:
-        return fit
-    return replace(fit, parameters=replace(fit.parameters, time_base_utc=samples.t_utc[usable][0]))
-
-
-def _taken(tried: ClockFit | None, options: CalibrationOptions) -> ClockFit | None:
-    """Return the clock that is part of the result: one that was asked for, or that the data show."""
-    return tried if tried is not None and (options.time_offset == "estimate" or tried.is_significant) else None
 
 
 def _suspicions(referenced: Referenced, estimate: _Estimate) -> tuple[Suspicion, ...]:

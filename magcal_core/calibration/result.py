@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,31 +13,11 @@ from magcal_core.calibration.estimators.contract import Candidate
 from magcal_core.calibration.observability.information import Observability
 from magcal_core.calibration.reasons import Verdict
 from magcal_core.calibration.residuals import ResidualStatistics, ResidualTable
-from magcal_core.errors import InputError
 from magcal_core.sensor.parameters import Parameters
+from magcal_core.units import utc_text
 
 if TYPE_CHECKING:
     from magcal_core.calibration.refit.moments import FitMoments
-
-
-_GROUPS: Final = ("bias_nt", "scale", "nonorthogonality_deg")
-_SLOPE: Final = "regressors."
-"""How the name of a regressor's coefficient begins."""
-
-
-def _regressor_order(names: object, slopes: Mapping[str, Floats]) -> list[str]:
-    """Return the regressors ``slopes`` in the order in which the ``parameter_names`` of a record have them.
-
-    Without ``names`` the order is any: then nothing may be read from the record that relies on it.
-    """
-    if names is None:
-        return list(slopes)
-    own = [str(name) for name in names] if isinstance(names, Sequence) else []
-    of_slopes = [name.removeprefix(_SLOPE).rpartition("[")[0] for name in own if name.startswith(_SLOPE)]
-    order = list(dict.fromkeys(of_slopes))
-    if set(order) != set(slopes):
-        raise InputError("the record is no parameter set: parameter_names do not have its regressors")
-    return order
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,8 +86,3 @@ class Calibration:
             **self.extras,
             "provenance": {"orbits": [dict(orbit) for orbit in self.orbits], "options": dict(self.options)},
         }
-
-
-def utc_text(t_utc: np.datetime64) -> str:
-    """Return ``t_utc`` in ISO 8601 with ``Z`` and microseconds."""
-    return f"{np.datetime_as_string(t_utc, unit='us')}Z"

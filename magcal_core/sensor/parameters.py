@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 
 from magcal_core.arrays import Floats
-from magcal_core.calibration.result import _GROUPS, _SLOPE, _regressor_order, utc_text
 from magcal_core.errors import InputError
 from magcal_core.sensor.regressors import OF_SCALE, TIME_REGRESSOR, hours_since, source_of
+from magcal_core.units import utc_text
+
+_GROUPS: Final = ("bias_nt", "scale", "nonorthogonality_deg")
+_SLOPE: Final = "regressors."
+"""How the name of a regressor's coefficient begins."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,3 +126,18 @@ class Parameters:
             "regressors": {name: value.tolist() for name, value in self.regressors.items()},
             **base,
         }
+
+
+def _regressor_order(names: object, slopes: Mapping[str, Floats]) -> list[str]:
+    """Return the regressors ``slopes`` in the order in which the ``parameter_names`` of a record have them.
+
+    Without ``names`` the order is any: then nothing may be read from the record that relies on it.
+    """
+    if names is None:
+        return list(slopes)
+    own = [str(name) for name in names] if isinstance(names, Sequence) else []
+    of_slopes = [name.removeprefix(_SLOPE).rpartition("[")[0] for name in own if name.startswith(_SLOPE)]
+    order = list(dict.fromkeys(of_slopes))
+    if set(order) != set(slopes):
+        raise InputError("the record is no parameter set: parameter_names do not have its regressors")
+    return order
