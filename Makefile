@@ -33,6 +33,7 @@ $(STAMP): requirements/dev.txt pyproject.toml
 # all are compiled anew.
 $(KERNELS): $(STAMP) $(shell grep -rl --include='*.py' njit magcal_core)
 	@find magcal_core -name '*.nb[ci]' -delete
+	@$(BIN)/python -m magcal_core.compile_kernels
 	@touch $(KERNELS)
 
 install: $(KERNELS) ## a virtual environment in .venv with magcal and its tools
