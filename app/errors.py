@@ -17,7 +17,7 @@ from starlette.exceptions import HTTPException
 from typing_extensions import TypedDict
 
 from app.retry import AWAY, is_contention
-from magcal_core.errors import EstimationError, InputError, MagcalError, PropagationError
+from magcal_core.errors import EstimationError, InputError, MagcalError, PropagationError, TooFewSetsError
 
 log = structlog.get_logger()
 
@@ -197,6 +197,7 @@ class RefusedVerdictError(ServiceError):
 
 STATUS: Final[Mapping[type[MagcalError], int]] = {
     InputError: 422,
+    TooFewSetsError: 409,
     EstimationError: 422,
     PropagationError: 422,
     NotFoundError: 404,

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from magcal_core.calibration.refitting import RefitOptions as RefitOptions
     from magcal_core.calibration.refitting import refit as refit
     from magcal_core.calibration.result import Calibration as Calibration
+    from magcal_core.calibration.sessions.trend import Trend as Trend
+    from magcal_core.calibration.sessions.trend import trend as trend
     from magcal_core.field.dipole import DirectDipole as DirectDipole
     from magcal_core.field.igrf import Igrf as Igrf
     from magcal_core.field.models import field_model as field_model
@@ -42,12 +44,14 @@ _HOME: Final[dict[str, str]] = {
     "SensorModel": "sensor",
     "Sgp4Orbit": "orbit.sgp4",
     "StateVector": "orbit.state",
+    "Trend": "calibration.sessions.trend",
     "calibrate": "pipeline",
     "field_model": "field.models",
     "parse_orbits": "orbit.sources",
     "read_samples": "telemetry",
     "refit": "calibration.refitting",
     "simulate": "simulation",
+    "trend": "calibration.sessions.trend",
     "with_reference": "reference",
 }
 

@@ -150,20 +150,25 @@ class Smoothed:
 
     def shares_at(self, years: Floats) -> tuple[Floats, Floats]:
         """Return the state in shares at ``years``, shape (m,): means (m, 9) and covariances (m, 9, 9)."""
-        parts = [self._shares_at(part) for part in np.array_split(years, max(1, -(-len(years) // _AT_ONCE)))]
+        posterior = self.explained.weights
+        heavy = np.flatnonzero((posterior > _HEAVY * posterior.max(axis=1, keepdims=True)).any(axis=0))
+        passes, weights = self.explained.passes.of_grid(heavy), posterior[:, heavy]
+        weights = weights / weights.sum(axis=1, keepdims=True)
+        parts = [
+            self._of_mixture(passes, weights, part)
+            for part in np.array_split(years, max(1, -(-len(years) // _AT_ONCE)))
+        ]
         means, covariances = (np.concatenate(one) for one in zip(*parts, strict=True))
         return means, covariances
 
-    def _shares_at(self, years: Floats) -> tuple[Floats, Floats]:
-        means, covariances = self.explained.passes.at(years)
+    def _of_mixture(self, passes: Passes, weights: Floats, years: Floats) -> tuple[Floats, Floats]:
+        """Return the state in shares at ``years``: means and errors of the mixture, correlations of one filter."""
+        means, covariances = passes.at(years)
         by_grid = np.sqrt(np.diagonal(covariances, axis1=-2, axis2=-1))
         mean, error = np.empty((len(years), 9)), np.empty((len(years), 9))
         for group in range(3):
-            posterior = self.explained.weights[group]
-            heavy = posterior > _HEAVY * posterior.max()
-            weights = posterior[heavy] / posterior[heavy].sum()
             of = slice(3 * group, 3 * group + 3)
-            mean[:, of], error[:, of] = standard_error(weights, means[:, group, heavy], by_grid[:, group, heavy])
+            mean[:, of], error[:, of] = standard_error(weights[group], means[:, group], by_grid[:, group])
         _, covariance = self.whole.at(years)
         size = error / np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
         return mean, covariance * size[:, :, None] * size[:, None, :]
@@ -259,7 +264,9 @@ class Trend:
         values = self.chosen.active.parameters if parameters is None else _nine(parameters)
         why = self._why_no_life()
         if why:
-            return Life(label, self.share, None, False, None, life_text(None, self.share, is_capped=False, why_none=why))
+            return Life(
+                label, self.share, None, False, None, life_text(None, self.share, is_capped=False, why_none=why)
+            )
         begin, years, bounds = self.bounds(values)
         left, is_capped = years_within(years, bounds, self.share * self.field_nt)
         end = self.smoothed.time_of(begin + left)
@@ -438,13 +445,10 @@ def _moment(value: Moment | Times) -> np.datetime64:
         if value.tzinfo is None:
             raise TimeError("at: the time has no zone")
         return np.datetime64(value.astimezone(UTC).replace(tzinfo=None), "ns")
-    try:
-        moment = np.datetime64(value, "ns")
-    except (ValueError, TypeError) as error:
-        raise TimeError("at: this is no time") from error
-    if np.isnat(moment):
+    moment = np.asarray(value)
+    if moment.dtype.kind != "M" or moment.ndim or np.isnat(moment):
         raise TimeError("at: this is no time")
-    return moment
+    return np.datetime64(int(moment.astype("datetime64[ns]").astype(np.int64)), "ns")
 
 
 def _nine(parameters: Parameters | Mapping[str, object] | Floats) -> Floats:
@@ -472,4 +476,3 @@ def _record(values: Floats) -> dict[str, object]:
     """Return nine values as a record has parameters."""
     groups: dict[str, object] = {group: values[3 * i : 3 * i + 3].tolist() for i, group in enumerate(GROUPS)}
     return groups | {"time_offset_s": None, "regressors": {}}
-

@@ -8,7 +8,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.calibration.sessions.trend_filter import GROUPS, History, Passes, both_passes, product, squared_distance
+from magcal_core.calibration.sessions.trend_filter import (
+    GROUPS,
+    History,
+    Passes,
+    both_passes,
+    product,
+    squared_distance,
+)
 
 Floats = NDArray[np.float64]
 

@@ -87,6 +87,16 @@ class Passes:
     forward: Filtered
     backward: Filtered
 
+    def of_grid(self, points: NDArray[np.intp]) -> Passes:
+        """Return the passes at some ``points`` of a grid alone."""
+
+        def of(one: Filtered) -> Filtered:
+            states = (one.before, one.before_covariance, one.after, one.after_covariance)
+            return Filtered(*(state[:, :, points] for state in states), one.log_likelihood[:, points])
+
+        jumped = self.jumped[:, :, points]
+        return Passes(self.years, self.walks[:, points], jumped, of(self.forward), of(self.backward))
+
     def at(self, years: Floats) -> tuple[Floats, Floats]:
         """Return the states at ``years``, shape (m,): means (m, ..., d) and covariances (m, ..., d, d).
 
@@ -178,8 +188,8 @@ def product(first: Floats, p_first: Floats, second: Floats, p_second: Floats) ->
     """Return the normal law that two sides make together, the diffuse start (mean 0) counted once."""
     d = first.shape[-1]
     one, other = np.linalg.inv(p_first), np.linalg.inv(p_second)
-    covariance = np.linalg.inv(one + other - np.eye(d) / DIFFUSE)
-    covariance = 0.5 * (covariance + np.swapaxes(covariance, -1, -2))
+    both = np.linalg.inv(one + other - np.eye(d) / DIFFUSE)
+    covariance = np.asarray(0.5 * (both + np.swapaxes(both, -1, -2)), np.float64)
     weighed = np.matmul(one, first[..., None]) + np.matmul(other, second[..., None])
     return np.matmul(covariance, weighed)[..., 0], covariance
 

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-Times = NDArray[np.datetime64]
 
 _HELD: Final = 0.95
 _MOST_SPANS: Final = 2.0
@@ -62,7 +61,7 @@ def bound_nt(metric: Floats, difference: Floats, covariance: Floats) -> Floats:
     size = np.einsum("mii->m", spread) + np.sum(moved * difference, axis=1)
     noise = 2.0 * np.einsum("mij,mji->m", spread, spread) + 4.0 * np.einsum("mi,mij,mj->m", moved, covariance, moved)
     freedom = 2.0 * size**2 / noise
-    return np.sqrt(size * 2.0 * gammaincinv(0.5 * freedom, _HELD) / freedom)
+    return np.asarray(np.sqrt(size * 2.0 * gammaincinv(0.5 * freedom, _HELD) / freedom))
 
 
 def life_years(span_years: float) -> Floats:
