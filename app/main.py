@@ -29,6 +29,7 @@ from app.keys import endpoints as keys
 from app.limits import RequestLimits
 from app.logs import RequestLog
 from app.methods import Methods
+from app.monitoring import trends
 from app.oidc import open_issuer
 from app.orbits import endpoints as orbits
 from app.parameter_sets import endpoints as parameter_sets
@@ -44,7 +45,7 @@ from app.settings import Settings
 from app.store import open_store
 
 API: Final = "/api/v1"
-ROOMS: Final = (sessions, satellites, orbits, jobs, parameter_sets, pointing, refitting, field, keys, displays)
+ROOMS: Final = (sessions, satellites, orbits, jobs, parameter_sets, pointing, refitting, trends, field, keys, displays)
 STOP_GRACE_S: Final = 20.0
 
 log = structlog.get_logger()

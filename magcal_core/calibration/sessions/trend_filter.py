@@ -91,8 +91,13 @@ class Passes:
         """Return the passes at some ``points`` of a grid alone."""
 
         def of(one: Filtered) -> Filtered:
-            states = (one.before, one.before_covariance, one.after, one.after_covariance)
-            return Filtered(*(state[:, :, points] for state in states), one.log_likelihood[:, points])
+            return Filtered(
+                one.before[:, :, points],
+                one.before_covariance[:, :, points],
+                one.after[:, :, points],
+                one.after_covariance[:, :, points],
+                one.log_likelihood[:, points],
+            )
 
         jumped = self.jumped[:, :, points]
         return Passes(self.years, self.walks[:, points], jumped, of(self.forward), of(self.backward))
