@@ -17,7 +17,7 @@ from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
 from magcal_core.reference import with_reference
 from magcal_core.referenced import Referenced, in_time_order, oriented
-from magcal_core.regressor_columns import is_of_scale, missing_columns, regressor_of, source_of
+from magcal_core.regressor_columns import is_of_scale, missing_columns, regressor_of, source_of, with_steps
 from magcal_core.samples import Samples
 
 
@@ -109,12 +109,13 @@ def compare_sensors(
 def _corrected(samples: Samples, parameters: Parameters) -> CorrectedReadings:
     ordered = in_time_order(samples)
     used = ordered.take(ordered.is_used)
-    missing = missing_columns(parameters.regressors, used.housekeeping)
+    keeping = with_steps(parameters.regressors, used.housekeeping, used.t_utc)
+    missing = missing_columns(parameters.regressors, keeping)
     if missing:
         raise OptionError(f"no housekeeping column {missing[0]!r}, which the parameters need")
     n = len(used)
     columns = {
-        name: regressor_of(name, np.asarray(used.housekeeping[source_of(name)], np.float64), used.h_nt)
+        name: regressor_of(name, np.asarray(keeping[source_of(name)], np.float64), used.h_nt)
         for name in parameters.regressors
     }
     plain = Observations(np.zeros(n), used.h_nt, np.ones(n), None, np.ones(n), columns)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_core.errors import Fault, TelemetryFormatError
-from magcal_core.regressor_columns import is_of_scale, missing_columns, source_of
+from magcal_core.regressor_columns import is_of_scale, missing_columns, source_of, with_steps
 from magcal_core.samples import Floats, Samples
 from magcal_core.sensor import SensorModel
 
@@ -42,12 +42,13 @@ class Correction:
 
     def _terms(self, samples: Samples) -> tuple[Floats, Floats]:
         """Return what the bias and, as a share of the raw reading, the scale add to each reading, shape (n, 3)."""
-        missing = missing_columns(self.regressors, samples.housekeeping)
+        keeping = with_steps(self.regressors, samples.housekeeping, samples.t_utc)
+        missing = missing_columns(self.regressors, keeping)
         if missing:
             faults = [Fault(f"column {name}", "missing; the parameter set has it as a regressor") for name in missing]
             raise TelemetryFormatError("the telemetry lacks a regressor of the parameter set", faults)
         drift_nt, share = np.zeros_like(samples.h_nt), np.zeros_like(samples.h_nt)
         for name, change in self.regressors.items():
             added = share if is_of_scale(name) else drift_nt
-            added += samples.housekeeping[source_of(name)][:, None] * change
+            added += keeping[source_of(name)][:, None] * change
         return drift_nt, share

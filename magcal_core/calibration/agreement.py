@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from magcal_core.calibration.consistency import ParameterDifference
 from magcal_core.calibration.monitoring import MATERIAL_SHARE, SIGNIFICANT_P, ActiveSet, differences_of, field_change
 from magcal_core.calibration.result import Parameters
+from magcal_core.regressor_columns import is_step
 
 Floats = NDArray[np.float64]
 
@@ -82,9 +83,9 @@ def agreement_with(
     The axes of a vector calibration are those of the attitude, of a scalar one its own; and a bias beside other
     regressors is the bias at other values of them.
     """
-    if is_vector is not active.is_vector or set(parameters.regressors) != set(active.parameters.regressors):
+    if is_vector is not active.is_vector or _kind(parameters) != _kind(active.parameters):
         return None
-    step = (parameters.vector - active.parameters.vector[: len(parameters.vector)])[:_COMPARED]
+    step = parameters.vector[:_COMPARED] - active.parameters.vector[:_COMPARED]
     both = covariance[:_COMPARED, :_COMPARED] + active.covariance[:_COMPARED, :_COMPARED]
     if not np.isfinite(both).all():
         return None
@@ -97,3 +98,8 @@ def agreement_with(
         max(active.residual_rms_nt, MATERIAL_SHARE * mean_field_nt),
         min(1.0, _COMPARED * differences[0].p_value),
     )
+
+
+def _kind(parameters: Parameters) -> set[str]:
+    """Return the regressors that make the bias another one; a step inside the data does not: it is that after it."""
+    return {name for name in parameters.regressors if not is_step(name)}

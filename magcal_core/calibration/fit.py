@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 from magcal_core.calibration.corrections import correct, corrected_lengths, lengths
 from magcal_core.calibration.result import Candidate, Parameters
 from magcal_core.errors import OptionError, OrbitMissingError, TelemetryValueError, TooFewSamplesError, UnitsError
-from magcal_core.regressor_columns import TIME_REGRESSOR, is_of_scale, regressor_of, source_of, term_nt
+from magcal_core.regressor_columns import (
+    TIME_REGRESSOR,
+    is_of_scale,
+    is_step,
+    regressor_of,
+    source_of,
+    step_column,
+    term_nt,
+)
 from magcal_core.samples import Samples, selects_all
 from magcal_core.sensor import inverse_lower, matrix_of_parameters
 from magcal_core.units import NT_PER_UNIT
@@ -162,6 +170,8 @@ def _regressor(samples: Samples, name: str, t_s: Floats) -> Floats:
     source = source_of(name)
     if source == TIME_REGRESSOR and source not in samples.housekeeping:
         return regressor_of(name, t_s / 3600.0, samples.h_nt)
+    if is_step(source):
+        return regressor_of(name, step_column(name, samples.t_utc), samples.h_nt)
     if source not in samples.housekeeping:
         known = ", ".join([TIME_REGRESSOR, *samples.housekeeping])
         raise OptionError(f"no housekeeping column {source!r}; there are {known}")

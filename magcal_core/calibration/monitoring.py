@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -16,6 +16,7 @@ from magcal_core.calibration.result import Parameters, Reason
 from magcal_core.calibration.scale_terms import without_scale_terms
 from magcal_core.calibration.uncertainty import covered_s, honest_covariance
 from magcal_core.errors import InputError, OptionError
+from magcal_core.regressor_columns import BEFORE, is_step
 from magcal_core.sensor import matrix_of_parameters
 
 Floats = NDArray[np.float64]
@@ -61,6 +62,12 @@ class ActiveSet:
             slopes = {name: np.array(slope, np.float64) for name, slope in dict(values.get("regressors", {})).items()}
             parameters = Parameters(bias, scale, angles, None if clock is None else float(clock), slopes)
             covariance = np.array(record["covariance"], np.float64)
+            if any(map(is_step, slopes)):
+                # What the bias was before a step inside its own data says nothing of others.
+                told = [not name.startswith(f"regressors.{BEFORE}") for name in parameters.names]
+                covariance = covariance[np.ix_(told, told)]
+                slopes = {name: slope for name, slope in slopes.items() if not is_step(name)}
+                parameters = replace(parameters, regressors=slopes)
             rms_nt = float(statistics["after"]["rms_nt"])
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"the record is no parameter set: {error}") from error

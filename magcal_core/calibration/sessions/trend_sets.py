@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.errors import InputError, OptionError, TimeError, TooFewSetsError
+from magcal_core.regressor_columns import is_step
 from magcal_core.telemetry.times import parse_iso_ns
 
 Floats = NDArray[np.float64]
 
 FEWEST: Final = 3
 """With two sets the prior decides how far a forecast may be off."""
-BEFORE: Final = "before:"
-"""Regressor columns with this prefix are steps of the bias: the set's own bias is that after the last one."""
 _SAME_DATA: Final = 0.1
 """Share of the shorter span that two sets may have in common."""
 _NAMES: Final = tuple(f"{group}[{i}]" for group in ("bias_nt", "scale", "nonorthogonality_deg") for i in range(3))
@@ -156,7 +155,7 @@ def _dated(record: Mapping[str, object]) -> DatedSet:
         raise InputError("the record is no parameter set: its nine parameters are not nine numbers, the scale not zero")
     if until_ns < from_ns:
         raise InputError("the record is no parameter set: its data end before they begin")
-    has_steps = any(name.startswith(BEFORE) for name in regressors)
+    has_steps = any(map(is_step, regressors))
     return DatedSet(
         label=str(record.get("id") or record["data_from"]),
         owner=(str(record.get("satellite", "")), str(record.get("magnetometer", ""))),
@@ -168,7 +167,7 @@ def _dated(record: Mapping[str, object]) -> DatedSet:
         is_refused=verdict.get("grade") == "refuse",
         kind=(
             str(record.get("method", "")).startswith("vector"),
-            frozenset(name for name in regressors if not name.startswith(BEFORE)),
+            frozenset(name for name in regressors if not is_step(name)),
         ),
         parameters=parameters,
         covariance=covariance,

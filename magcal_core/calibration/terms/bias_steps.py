@@ -32,14 +32,13 @@ from magcal_core.calibration.terms.wandering_bias import (
     solved,
     step_information,
 )
+from magcal_core.regressor_columns import BEFORE
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 LIMIT: Final = 25.0
 MOST_STEPS: Final = 2
-BEFORE: Final = "before:"
-"""A regressor column of this name and a time is 1 before it, 0 after."""
 _APART: Final = 3
 _EDGE: Final = 0.08
 _WORST_ERROR_NT: Final = 500.0

@@ -1,0 +1,106 @@
+"""The path of the bias inside a session: posterior mean and error of a wandering bias, block by block, from moments.
+
+It changes no parameter: it says what the bias did while the parameters hold one value for all of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_core.calibration.moments import FitMoments
+from magcal_core.calibration.result import utc_text
+from magcal_core.calibration.terms.bias_steps import BiasStep, bias_steps
+from magcal_core.calibration.terms.wandering_bias import BIAS, MODELS, Blocks, Solved, Wander, solved
+
+Floats = NDArray[np.float64]
+Times = NDArray[np.datetime64]
+
+STILL_ODDS: Final = 0.75
+"""Probability, before the data are seen, that the bias does not wander."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BiasPath:
+    """The bias over a session.
+
+    Attributes
+    ----------
+    t_utc : datetime64[ns], shape (m,)
+        Middle of each block, UTC.
+    bias_nt, standard_errors_nt : shape (m, 3)
+        With every regressor at zero, as the parameters have it.
+    own_bias_nt, own_errors_nt : shape (3,)
+        Of the fit that the moments are of: one value for the whole session; errors of white noise.
+    steps : the steps that were found, which the path takes.
+    """
+
+    t_utc: Times
+    bias_nt: Floats
+    standard_errors_nt: Floats
+    own_bias_nt: Floats
+    own_errors_nt: Floats
+    steps: tuple[BiasStep, ...]
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the path as the service answers it."""
+        return {
+            "time": [utc_text(time) for time in self.t_utc],
+            "bias_nt": self.bias_nt.tolist(),
+            "standard_errors_nt": self.standard_errors_nt.tolist(),
+            "steps": [step.to_dict() for step in self.steps],
+        }
+
+
+def bias_path(moments: FitMoments) -> BiasPath:
+    """Return the path of the bias that the moments of a fit show.
+
+    Notes
+    -----
+    Averaged over the noise models by likelihood and odds of three to one for none; the spread between them is in the
+    errors. Each model's path is that of the fit's bias, the steps and the wandering bias together.
+    """
+    blocks, steps = Blocks.of(moments), bias_steps(moments).items
+    places = [step.block for step in steps]
+    found = [(model, solved(blocks, model, places)) for model in MODELS]
+    likelihood = np.array([one.log_likelihood for _, one in found])
+    odds = np.array([STILL_ODDS, *np.full(len(MODELS) - 1, (1.0 - STILL_ODDS) / (len(MODELS) - 1))])
+    weights = odds * np.exp(likelihood - likelihood.max())
+    weights /= weights.sum()
+    take = moments.unknowns(moments.fitted, has_clock=moments.is_clock_fitted)
+    to_bias = moments.to_parameters(moments.own)[0:3, take]
+    paths = [_path(blocks, model, one, places, to_bias) for model, one in found]
+    moved = np.array([path for path, _ in paths])
+    mean = np.einsum("k,kmi->mi", weights, moved)
+    variance = np.einsum("k,kmi->mi", weights, np.array([one for _, one in paths]) + (moved - mean) ** 2)
+    own = moments.parameters(moments.own, moments.fitted).bias_nt
+    still = found[0][1]
+    of_fit = to_bias @ still.inverse[: len(take), : len(take)] @ to_bias.T * still.variance
+    middle = moments.begins + (moments.ends - moments.begins) // 2
+    return BiasPath(middle, own + mean, np.sqrt(variance), own, np.sqrt(np.diag(of_fit)), steps)
+
+
+def _path(
+    blocks: Blocks, model: Wander, here: Solved, places: list[int], to_bias: Floats
+) -> tuple[Floats, Floats]:
+    """Return how far the bias is from the fit's in each block and its variance, shape (m, 3) both, nT, nT^2."""
+    m, q = len(blocks), blocks.scores.shape[1]
+    of_bias = to_bias[:, BIAS]
+    others = np.zeros((m, 3, len(here.estimate)))
+    others[:, :, :q] = to_bias
+    for i, place in enumerate(places):
+        others[:, :, q + 3 * i : q + 3 * i + 3] = blocks.after(place)[:, None, None] * of_bias
+    moved = others @ here.estimate
+    if model.deviation == 0.0:
+        return moved, here.variance * np.einsum("mit,ts,mis->mi", others, here.inverse, others)
+    moved = moved + here.bias.reshape(m, 3) @ of_bias.T
+    # With u = -U c_u - carried^T x: what is uncertain of the other unknowns comes through both.
+    carried = here.carried.reshape(len(here.estimate), m, 3).transpose(1, 2, 0)
+    through = others - of_bias @ carried
+    at = np.arange(m)
+    own = here.bias_inverse.reshape(m, 3, m, 3)[at, :, at]
+    variance = np.einsum("mit,ts,mis->mi", through, here.inverse, through, optimize=True)
+    return moved, here.variance * (variance + np.einsum("ia,mab,ib->mi", of_bias, own, of_bias))
