@@ -1,9 +1,9 @@
-"""What a calibration does about a bias that steps inside its session: it is named, or fitted."""
+"""What a calibration does about a bias that moves inside its session: steps named or fitted, windows of their own."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -12,13 +12,28 @@ from magcal_core.calibration import ESTIMATORS
 from magcal_core.calibration.moments import METHODS as MOMENTS_METHODS
 from magcal_core.calibration.moments import FitMoments
 from magcal_core.calibration.result import Calibration, Reason, Verdict
+from magcal_core.calibration.sessions.windows import windows_of
 from magcal_core.calibration.terms.bias_steps import NOT_SEARCHED, BiasSteps, bias_steps
 from magcal_core.errors import OptionError
 from magcal_core.options import CalibrationOptions
+from magcal_core.orbit import Orbit
+from magcal_core.orbit.elements import elements_from_state
+from magcal_core.referenced import in_time_order
 from magcal_core.samples import SampleFlag, Samples
 
 _HARDLY_DETERMINED: Final = frozenset({"weakly_observable", "not_observable"})
 """Reasons of a verdict where a step cannot be told from what the field does not show."""
+
+Again = Callable[[Samples, CalibrationOptions], Calibration]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Session:
+    """What a calibration was made of: samples, in any order, orbits and options."""
+
+    samples: Samples
+    orbits: Sequence[Orbit]
+    options: CalibrationOptions
 
 
 def wants_moments(options: CalibrationOptions) -> bool:
@@ -29,11 +44,38 @@ def wants_moments(options: CalibrationOptions) -> bool:
     OptionError
         ``bias_steps`` is ``fit`` and the method takes no regressors or leaves no moments.
     """
-    if options.bias_steps == "fit" and not (
-        ESTIMATORS[options.method].takes_regressors and options.method in MOMENTS_METHODS
-    ):
+    is_fitting = ESTIMATORS[options.method].takes_regressors and options.method in MOMENTS_METHODS
+    if options.bias_steps == "fit" and not is_fitting:
         raise OptionError(f"bias_steps: {options.method} cannot fit steps; scalar and vector can")
     return options.bias_steps != "none"
+
+
+def with_moving_bias(
+    calibration: Calibration, moments: FitMoments | None, session: Session, again: Again
+) -> Calibration:
+    """Return the calibration with the steps of the bias, named or fitted, and its windows, as its options ask.
+
+    ``moments``: of its fit, None where there are none; ``again``: calibrates other samples with other options.
+
+    Raises
+    ------
+    OptionError, TooFewSetsError
+        There are fewer than three windows, or fewer can be calibrated.
+    """
+    options = session.options
+    if options.bias_steps != "none":
+        steps = steps_of_session(moments, calibration.verdict)
+        if options.bias_steps == "fit" and steps.items and moments is not None:
+            fitted = again(*_with_steps_fitted(session, moments, steps))
+            calibration, steps = replace(fitted, options=options.to_dict()), replace(steps, is_fitted=True)
+        calibration = _with_steps_named(calibration, steps)
+    if options.windows is not None:
+        one_by_one = replace(options, windows=None, bootstrap=0)
+        period_s = _period_s(session.orbits, calibration.data_from)
+        ordered = in_time_order(session.samples)
+        found = windows_of(ordered, options.windows, lambda part: again(part, one_by_one), period_s)
+        calibration = replace(calibration, extras={**calibration.extras, "windows": found.to_dict()})
+    return calibration
 
 
 def steps_of_session(moments: FitMoments | None, verdict: Verdict) -> BiasSteps:
@@ -43,34 +85,38 @@ def steps_of_session(moments: FitMoments | None, verdict: Verdict) -> BiasSteps:
     return bias_steps(moments)
 
 
-def with_steps_fitted(
-    samples: Samples, moments: FitMoments, steps: BiasSteps, options: CalibrationOptions
-) -> tuple[Samples, CalibrationOptions]:
+def _with_steps_fitted(session: Session, moments: FitMoments, steps: BiasSteps) -> tuple[Samples, CalibrationOptions]:
     """Return samples and options of the fit that has the steps as unknowns, without the two blocks about each."""
+    samples = session.samples
     about = np.zeros(len(samples), bool)
     for step in steps.items:
-        begin = moments.begins[step.block - 1]
-        end = moments.ends[step.block]
+        begin, end = moments.begins[step.block - 1], moments.ends[step.block]
         about |= (samples.t_utc >= begin) & (samples.t_utc <= end)
-    columns = [step.column for step in steps.items]
-    names = (*moments.fitted, *(column for column in columns if column not in moments.fitted))
-    return samples.flagged(SampleFlag.BIAS_STEP, about), replace(
-        options, regressors=names, bias_steps="none", windows=None
-    )
+    names = tuple(dict.fromkeys((*moments.fitted, *(step.column for step in steps.items))))
+    options = replace(session.options, regressors=names, bias_steps="none", windows=None)
+    return samples.flagged(SampleFlag.BIAS_STEP, about), options
 
 
-def with_steps_named(calibration: Calibration, steps: BiasSteps) -> Calibration:
-    """Return the calibration whose record and verdict name the steps that its fit does not have."""
+def _with_steps_named(calibration: Calibration, steps: BiasSteps) -> Calibration:
+    """Return the calibration whose record names the steps, and its verdict those that its fit does not have."""
     extras = {**calibration.extras, "bias_steps": steps.to_dict()}
     if steps.is_fitted or not steps.items:
         return replace(calibration, extras=extras)
-    verdict = _weakened(calibration.verdict, [step.text for step in steps.items])
-    return replace(calibration, extras=extras, verdict=verdict)
+    return replace(calibration, extras=extras, verdict=_weakened(calibration.verdict, steps))
 
 
-def _weakened(verdict: Verdict, texts: Sequence[str]) -> Verdict:
+def _weakened(verdict: Verdict, steps: BiasSteps) -> Verdict:
     """Return the verdict with a reason for each step: at best weak, the reasons of the worse grade first."""
-    found = tuple(Reason("bias_step", text) for text in texts)
+    found = tuple(Reason("bias_step", step.text) for step in steps.items)
     if verdict.grade == "accept":
         return Verdict("weak", found)
     return Verdict(verdict.grade, (*verdict.reasons, *found))
+
+
+def _period_s(orbits: Sequence[Orbit], t_utc: np.datetime64) -> float | None:
+    """Return the period of the orbit whose epoch is nearest to ``t_utc``, s; None where there is no orbit."""
+    if not orbits:
+        return None
+    nearest = min(orbits, key=lambda orbit: abs(orbit.epoch_utc - t_utc))
+    r_km, v_km_s = nearest.state_gcrf(np.array([nearest.epoch_utc]))
+    return elements_from_state(r_km[0], v_km_s[0]).period_s()

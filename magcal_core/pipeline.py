@@ -10,7 +10,7 @@ from typing import Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.bias_in_session import steps_of_session, wants_moments, with_steps_fitted, with_steps_named
+from magcal_core.bias_in_session import Session, wants_moments, with_moving_bias
 from magcal_core.calibration import ESTIMATORS
 from magcal_core.calibration.bootstrap import bootstrap
 from magcal_core.calibration.error_budget import ReferenceSource, error_budget
@@ -105,16 +105,13 @@ def calibrate(
     what = (estimate.estimator, estimate.observations, estimate.fit, estimate.settings)
     judgement = judgement_of(*what, circumstances, None if estimate.clock is None else estimate.clock.honest)
     tell(0.95)
-    is_stepped = wants_moments(chosen)
-    moments = _moments(referenced, estimate, judgement) if with_moments or is_stepped else None
+    moments = _moments(referenced, estimate, judgement) if with_moments or wants_moments(chosen) else None
     calibration = _assemble(referenced, estimate, judgement, left_out, suspected, moments if with_moments else None)
-    if is_stepped:
-        steps = steps_of_session(moments, calibration.verdict)
-        if steps.items and moments is not None and chosen.bias_steps == "fit":
-            again, options = with_steps_fitted(samples, moments, steps, chosen)
-            fitted = calibrate(again, orbits, options, active=active, with_moments=with_moments)
-            calibration, steps = replace(fitted, options=chosen.to_dict()), replace(steps, is_fitted=True)
-        calibration = with_steps_named(calibration, steps)
+
+    def again(part: Samples, options: CalibrationOptions) -> Calibration:
+        return calibrate(part, orbits, options, active=active, with_moments=with_moments)
+
+    calibration = with_moving_bias(calibration, moments, Session(samples, orbits, chosen), again)
     tell(1.0)
     return calibration
 

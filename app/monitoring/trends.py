@@ -145,7 +145,7 @@ def get_trend(
     satellite_id: str, magnetometer_id: str, query: Annotated[TrendQuery, Query()], caller: Reader, db: Db
 ) -> TrendRead:
     """Give a magnetometer's parameters at a time as all its sets tell them, and how long its active set stays good."""
-    sets = sets_of(satellite_id, magnetometer_id, caller, db, query.since, query.until)
+    sets = sets_of(satellite_id, magnetometer_id, caller, db, since=query.since, until=query.until)
     found = trend_of(sets, query.at, query.share, query.field_nt)
     return TrendRead.model_validate(without_nan(found.to_dict()))
 
@@ -178,7 +178,13 @@ class StoredSets:
 
 
 def sets_of(
-    satellite_id: str, magnetometer_id: str, caller: Caller, db: Db, since: str | None = None, until: str | None = None
+    satellite_id: str,
+    magnetometer_id: str,
+    caller: Caller,
+    db: Db,
+    *,
+    since: str | None = None,
+    until: str | None = None,
 ) -> StoredSets:
     """Return the newest sets of a magnetometer that the caller reaches, of a span of time where one is given."""
     bounds = [None if text is None else _time(text) for text in (since, until)]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from magcal_core.calibration.moments import FitMoments
 from magcal_core.calibration.result import utc_text
 from magcal_core.calibration.terms.bias_steps import BiasStep, bias_steps
-from magcal_core.calibration.terms.wandering_bias import BIAS, MODELS, Blocks, Solved, Wander, solved
+from magcal_core.calibration.terms.wandering_bias import BIAS, MODELS, Blocks, Process, Solved, Wander, solved
 
 Floats = NDArray[np.float64]
 Times = NDArray[np.datetime64]
@@ -65,7 +65,7 @@ def bias_path(moments: FitMoments) -> BiasPath:
     """
     blocks, steps = Blocks.of(moments), bias_steps(moments).items
     places = [step.block for step in steps]
-    found = [(model, solved(blocks, model, places)) for model in MODELS]
+    found = [(model, solved(blocks, Process.of(blocks, model), places)) for model in MODELS]
     likelihood = np.array([one.log_likelihood for _, one in found])
     odds = np.array([STILL_ODDS, *np.full(len(MODELS) - 1, (1.0 - STILL_ODDS) / (len(MODELS) - 1))])
     weights = odds * np.exp(likelihood - likelihood.max())
@@ -83,9 +83,7 @@ def bias_path(moments: FitMoments) -> BiasPath:
     return BiasPath(middle, own + mean, np.sqrt(variance), own, np.sqrt(np.diag(of_fit)), steps)
 
 
-def _path(
-    blocks: Blocks, model: Wander, here: Solved, places: list[int], to_bias: Floats
-) -> tuple[Floats, Floats]:
+def _path(blocks: Blocks, model: Wander, here: Solved, places: list[int], to_bias: Floats) -> tuple[Floats, Floats]:
     """Return how far the bias is from the fit's in each block and its variance, shape (m, 3) both, nT, nT^2."""
     m, q = len(blocks), blocks.scores.shape[1]
     of_bias = to_bias[:, BIAS]

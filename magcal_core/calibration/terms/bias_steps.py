@@ -24,9 +24,11 @@ from magcal_core.calibration.moments import FitMoments
 from magcal_core.calibration.result import utc_text
 from magcal_core.calibration.terms.wandering_bias import (
     BIAS,
+    DEVIATIONS,
     MODELS,
     STEP_PRIOR_NT,
     Blocks,
+    Process,
     Solved,
     log_likelihood,
     solved,
@@ -44,6 +46,12 @@ _EDGE: Final = 0.08
 _WORST_ERROR_NT: Final = 500.0
 _AS_LIKELY: Final = 3.0
 """Loss of log L up to which another place is as good a time of the step."""
+_NOTHING: Final = 16.0
+"""Statistic under noise alone below which there is no step where no wander shows either."""
+_BETTER: Final = 1.0
+"""Gain of log L from which on a wandering bias shows."""
+_FEW_BLOCKS: Final = 24
+_COARSE: Final = tuple(one for one in MODELS[1:] if one.deviation in DEVIATIONS[1::2])
 _FEWEST_BLOCKS: Final = 12
 """With fewer there is no place far enough from both ends with blocks to leave out about it."""
 
@@ -83,9 +91,7 @@ class BiasStep:
     def text(self) -> str:
         """The step in words."""
         size = float(np.linalg.norm(self.change_nt))
-        told = ", ".join(
-            f"{c:+.0f} +- {e:.0f}" for c, e in zip(self.change_nt, self.standard_errors_nt, strict=True)
-        )
+        told = ", ".join(f"{c:+.0f} +- {e:.0f}" for c, e in zip(self.change_nt, self.standard_errors_nt, strict=True))
         return f"the bias changed by {told} nT ({size:.0f} in all) at {utc_text(self.time)[:19]}Z"
 
     def to_dict(self) -> dict[str, object]:
@@ -140,10 +146,14 @@ def bias_steps(moments: FitMoments) -> BiasSteps:
     blocks = Blocks.of(moments)
     if len(blocks) < _FEWEST_BLOCKS or blocks.freedom < 1.0:
         return NOT_SEARCHED
+    still = _search(blocks, [Process.of(blocks, MODELS[0])], ())
+    if still.statistic < _NOTHING and not _wanders(blocks):
+        return BiasSteps("searched", still.share, max(still.statistic, 0.0), ())
+    processes = [Process.of(blocks, model) for model in MODELS]
     known: list[tuple[int, float, tuple[int, int]]] = []
     share, statistic = 0.0, 0.0
     while True:
-        found = _search(blocks, [block for block, _, _ in known])
+        found = _search(blocks, processes, [block for block, _, _ in known])
         share = found.share if not known else share
         statistic = max(found.statistic, 0.0)
         if statistic <= LIMIT:
@@ -173,16 +183,17 @@ class _Found:
     share: float
 
 
-def _search(blocks: Blocks, known: Sequence[int]) -> _Found:
+def _search(blocks: Blocks, processes: Sequence[Process], known: Sequence[int]) -> _Found:
+    """Return the best place of a step beside those that are ``known``; that without wander comes first."""
     places = _places(blocks, known)
     if not len(places):
         return _Found(0, 0.0, (0, 0), 0.0)
     plain = np.full(len(places), np.nan)
     highest, best, share_at = np.full(len(places), -np.inf), -np.inf, (-np.inf, 0.0)
-    for model in MODELS:
-        here = solved(blocks, model, known)
+    for process in processes:
+        here = solved(blocks, process, known)
         gain, error = _gains(blocks, here, places, known)
-        if model.deviation == 0.0:
+        if process.model.deviation == 0.0:
             plain = error
         counts = (error < _WORST_ERROR_NT) & (plain < _WORST_ERROR_NT)
         likelihood = log_likelihood(here.rss - gain, blocks.freedom, here.log_determinant)
@@ -194,6 +205,16 @@ def _search(blocks: Blocks, known: Sequence[int]) -> _Found:
     top = int(np.argmax(highest))
     near = places[highest > highest[top] - _AS_LIKELY]
     return _Found(int(places[top]), 2.0 * float(highest[top] - best), (int(near[0]), int(near[-1])), share_at[1])
+
+
+def _wanders(blocks: Blocks) -> bool:
+    """Return whether a wandering bias explains the session better than noise alone, seen in few blocks.
+
+    A step that would be believed looks like one: where none does, every noise model need not be searched.
+    """
+    few = blocks.together(max(1, len(blocks) // _FEW_BLOCKS))
+    likelihood = [solved(few, Process.of(few, model), ()).log_likelihood for model in (MODELS[0], *_COARSE)]
+    return max(likelihood) > likelihood[0] + _BETTER
 
 
 def _places(blocks: Blocks, known: Sequence[int]) -> Indices:
@@ -222,7 +243,7 @@ def step_sizes(moments: FitMoments, blocks: Blocks, places: Sequence[int]) -> li
     by likelihood, the spread between them in the covariance.
     """
     rest = blocks.without([block for place in places for block in (place - 1, place)])
-    found = [solved(rest, model, places) for model in MODELS]
+    found = [solved(rest, Process.of(rest, model), places) for model in MODELS]
     weights = np.exp(np.array([one.log_likelihood for one in found]) - max(one.log_likelihood for one in found))
     weights /= weights.sum()
     of = found[0].steps(blocks.scores.shape[1])

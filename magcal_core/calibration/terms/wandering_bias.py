@@ -74,6 +74,13 @@ class Blocks:
     def __len__(self) -> int:
         return len(self.costs)
 
+    def together(self, count: int) -> Blocks:
+        """Return blocks of ``count`` neighbours each."""
+        firsts = np.arange(0, len(self), count)
+        middles = np.add.reduceat(self.middle_s, firsts) / np.diff([*firsts, len(self)])
+        sums = (np.add.reduceat(one, firsts, axis=0) for one in (self.normals, self.scores, self.costs, self.weights))
+        return Blocks(*sums, middles)
+
     def without(self, left_out: Sequence[int]) -> Blocks:
         """Return the blocks with some of them empty."""
         kept = np.ones(len(self))
@@ -137,18 +144,34 @@ def log_likelihood(rss: Floats | float, freedom: float, log_determinant: float) 
     return np.asarray(-0.5 * freedom * np.log(np.maximum(rss, 1e-300) / freedom) - 0.5 * log_determinant)
 
 
-def solved(blocks: Blocks, model: Wander, steps: Sequence[int]) -> Solved:
-    """Return the solution under ``model`` with steps of the bias at the beginnings of the blocks ``steps``."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Process:
+    """A noise model at the blocks of a fit: inverse of the bias's own part of A, and log(det of that part / det P)."""
+
+    model: Wander
+    inverse: Floats
+    log_determinant: float
+
+    @classmethod
+    def of(cls, blocks: Blocks, model: Wander) -> Process:
+        """Return the model at ``blocks``."""
+        if model.deviation == 0.0:
+            return cls(model, np.zeros((0, 0)), 0.0)
+        return cls(model, *_bias_inverse(blocks, model))
+
+
+def solved(blocks: Blocks, process: Process, steps: Sequence[int]) -> Solved:
+    """Return the solution under a noise model with steps of the bias at the beginnings of the blocks ``steps``."""
     normal, score = _system(blocks, steps)
     bias_score = blocks.scores[:, BIAS].ravel()
-    if model.deviation > 0.0:
-        bias_inverse, log_determinant = _bias_inverse(blocks, model)
-        carried = _shared(blocks, steps) @ bias_inverse
-        normal = normal - carried @ _shared(blocks, steps).T
+    bias_inverse, log_determinant = process.inverse, process.log_determinant
+    if len(bias_inverse):
+        shared = _shared(blocks, steps)
+        carried = shared @ bias_inverse
+        normal = normal - carried @ shared.T
         reduced = score - carried @ bias_score
     else:
-        bias_inverse, carried, log_determinant = np.zeros((0, 0)), np.zeros((len(score), 0)), 0.0
-        bias_score, reduced = bias_score[:0], score
+        carried, bias_score, reduced = np.zeros((len(score), 0)), bias_score[:0], score
     size = np.sqrt(np.diag(normal))
     factor = np.linalg.cholesky(normal / np.outer(size, size))
     half = np.linalg.inv(factor) / size
@@ -227,15 +250,15 @@ def step_information(blocks: Blocks, steps: Sequence[int], here: Solved, places:
     joined = _shared(blocks, steps).reshape(len(here.estimate), m, 3).transpose(1, 0, 2)
     shared = _from_the_end(joined)
     if len(here.bias):
-        weighed = np.einsum("bac,bcnd->band", own, here.bias_inverse.reshape(m, 3, m, 3))
-        weighed = np.einsum("band,nde->bnae", weighed, own)
-        summed = _from_the_end(_from_the_end(weighed).transpose(1, 0, 2, 3))
-        information = information - summed[places, places]
+        weighed = np.matmul(own, here.bias_inverse.reshape(m, 3, 3 * m)).reshape(3 * m, m, 3)
+        weighed = np.matmul(weighed.transpose(1, 0, 2), own)
+        summed = _from_the_end(weighed).reshape(m, m, 3, 3).transpose(1, 0, 2, 3)
+        information = information - _from_the_end(summed)[places, places]
         carried = here.carried.reshape(len(here.estimate), m, 3).transpose(1, 0, 2)
-        shared = shared - _from_the_end(np.einsum("btc,bcd->btd", carried, own))
+        shared = shared - _from_the_end(np.matmul(carried, own))
         score = score + _from_the_end(np.einsum("bac,bc->ba", own, _alone(blocks, here)))[places]
     shared = shared[places]
-    information = information - np.einsum("pta,ts,psb->pab", shared, here.inverse, shared, optimize=True)
+    information = information - np.matmul(shared.transpose(0, 2, 1), np.matmul(here.inverse, shared))
     score = score + np.einsum("pta,t->pa", shared, here.estimate)
     return 0.5 * (information + information.transpose(0, 2, 1)), score
 
