@@ -32,8 +32,8 @@ from app.methods import Methods
 from app.monitoring import trends
 from app.oidc import open_issuer
 from app.orbits import endpoints as orbits
+from app.parameter_sets import bias_paths, pointing, refitting
 from app.parameter_sets import endpoints as parameter_sets
-from app.parameter_sets import pointing, refitting
 from app.parameter_sets.listing import Texts
 from app.satellites import endpoints as satellites
 from app.security import SecurityHeaders
@@ -45,7 +45,20 @@ from app.settings import Settings
 from app.store import open_store
 
 API: Final = "/api/v1"
-ROOMS: Final = (sessions, satellites, orbits, jobs, parameter_sets, pointing, refitting, trends, field, keys, displays)
+ROOMS: Final = (
+    sessions,
+    satellites,
+    orbits,
+    jobs,
+    parameter_sets,
+    pointing,
+    refitting,
+    bias_paths,
+    trends,
+    field,
+    keys,
+    displays,
+)
 STOP_GRACE_S: Final = 20.0
 
 log = structlog.get_logger()

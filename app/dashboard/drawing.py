@@ -19,9 +19,12 @@ from app.errors import NotFoundError
 from app.figures.extras import ablation_rows
 from app.figures.style import Theme
 from app.keys.repository import Caller
+from app.monitoring.trends import stored_sets, trend_of
 from app.parameter_sets.listing import Listed
 from app.records import ParameterSetRecord
+from app.satellites.repository import SatelliteRepository
 from magcal_core.calibration.result import ResidualTable
+from magcal_core.errors import OptionError
 from magcal_core.samples import Floats, Samples
 
 if TYPE_CHECKING:
@@ -89,6 +92,28 @@ def history_figure(session: Session, sets: Listed, name: str, theme: str) -> Fig
     if name == "residual":
         return figures.rms_history(history, look)
     return figures.tle_age_history(history, look)
+
+
+def trend_figure(session: Session, caller: Caller, satellite_id: str, query: HistoryFigureQuery) -> Figure:
+    """Return the figure of the trend of a magnetometer; that of a satellite which has one alone need not be named.
+
+    Raises
+    ------
+    TooFewSetsError
+        Fewer than three sets count.
+    OptionError
+        The satellite has several magnetometers and none is named.
+    """
+    sensors = SatelliteRepository(session, caller)
+    name = query.magnetometer
+    if name is None:
+        names = [one.id for one in sensors.magnetometers([satellite_id])[satellite_id]]
+        if len(names) > 1:
+            raise OptionError("magnetometer: the satellite has several; a trend is that of one")
+        name = names[0] if names else ""
+    sensor = sensors.magnetometer(satellite_id, name)
+    found = trend_of(stored_sets(session, satellite_id, sensor.id))
+    return figures.trend_figure(found, figures.THEMES[query.theme])
 
 
 def timeline_figure(session: Session, caller: Caller, satellite_id: str, query: HistoryFigureQuery) -> Figure:

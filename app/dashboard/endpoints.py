@@ -8,6 +8,7 @@ from typing import Annotated, Any, Final
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
 
+from app import figures
 from app.auth import Reader
 from app.dashboard import drawing
 from app.dashboard.schemas import (
@@ -30,6 +31,7 @@ from app.dashboard.state import history_rows, overview_rows, record_of
 from app.keys.repository import SYSTEM, Caller
 from app.orbits.parsing import orbit_of
 from app.orbits.repository import OrbitRepository
+from app.parameter_sets.bias_paths import path_of_set
 from app.parameter_sets.listing import listed
 from app.parameter_sets.pointing import pointing_impact
 from app.parameter_sets.repository import ParameterSetRepository
@@ -143,6 +145,10 @@ def get_parameter_set_figure(
     etag = drawing.etag("set", row.id, figure, query.theme)
     if request.headers.get("if-none-match") == etag:
         return Response(status_code=304, headers={"ETag": etag})
+    if figure == "bias-path":
+        errors_nt = record_of(row)["standard_errors"]["bias_nt"]
+        path = path_of_set(row.id, caller, db, store)
+        return drawing.answer(figures.bias_path_figure(path, figures.THEMES[query.theme], errors_nt), etag)
     residuals = None if figure in drawing.OF_RECORD else _residuals(row, db, store)
     made = drawing.parameter_set_figure(figure, record_of(row), residuals, query.theme)
     return drawing.answer(made, etag)
@@ -175,6 +181,8 @@ def get_history_figure(
     """Draw a figure of a satellite's history: its last 1,000 parameter sets."""
     with db.read() as session:
         SatelliteRepository(session, caller).get(satellite_id)
+        if figure == "trend":
+            return drawing.answer(drawing.trend_figure(session, caller, satellite_id, query))
         if figure == "sessions":
             return drawing.answer(drawing.timeline_figure(session, caller, satellite_id, query))
         wanted = ParameterSetQuery(satellite=satellite_id, magnetometer=query.magnetometer, limit=MOST_SETS)

@@ -26,6 +26,9 @@ PERIOD_S: Final = 5760.0
 _REFUSED_SHARE: Final = 0.5
 _MOST_SHARE: Final = 1.0 / 3.0
 _REASONS: Final = 3
+_ENOUGH: Final = 0.02
+"""Share of a window that the last one may lack: the last sample is a step short of its end."""
+_HALF: Final = 0.5
 
 Calibrate = Callable[[Samples], Calibration]
 
@@ -114,9 +117,10 @@ def _made(samples: Samples, hours: float, items: Sequence[Window]) -> Windows:
 
 def _cut(samples: Samples, hours: float, span_h: float, calibrate: Calibrate) -> list[Window]:
     """Return the windows of ``hours``; what is left at the end, if it is half of one or more, is one as well."""
-    count = int(span_h / hours + 0.5 + 1e-9)
+    count = int(span_h / hours + _ENOUGH)
     if count < FEWEST:
         raise OptionError(f"windows: {span_h:.2g} h make {count} windows of {hours:.3g} h, {FEWEST} are needed")
+    count += span_h / hours - count >= _HALF
     begin = samples.t_utc[0]
     length = np.timedelta64(round(hours * 3.6e12), "ns")
     found = []
