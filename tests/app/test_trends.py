@@ -1,4 +1,4 @@
-"""Trends, series and figures over HTTP and on the command line: the core's numbers, and what is refused by which code."""
+"""Trends, series and figures over HTTP and on the command line: the core's numbers, and refusals by name."""
 
 from __future__ import annotations
 
