@@ -8,17 +8,18 @@ from typing import Final
 
 import numpy as np
 
-from magcal_core.calibration import ESTIMATORS
-from magcal_core.calibration.moments import METHODS as MOMENTS_METHODS
-from magcal_core.calibration.moments import FitMoments
-from magcal_core.calibration.result import Calibration, Reason, Verdict
+from magcal_core.calibration.estimators.registry import ESTIMATORS
+from magcal_core.calibration.reasons import Reason, Verdict
+from magcal_core.calibration.refit.moments import METHODS as MOMENTS_METHODS
+from magcal_core.calibration.refit.moments import FitMoments
+from magcal_core.calibration.result import Calibration
 from magcal_core.calibration.sessions.windows import windows_of
 from magcal_core.calibration.terms.bias_steps import NOT_SEARCHED, BiasSteps, bias_steps
 from magcal_core.errors import OptionError
 from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
-from magcal_core.orbit.elements import elements_from_state
-from magcal_core.referenced import in_time_order
+from magcal_core.orbit.messages.elements import elements_from_state
+from magcal_core.reference.referenced_samples import in_time_order
 from magcal_core.samples import SampleFlag, Samples
 
 _HARDLY_DETERMINED: Final = frozenset({"weakly_observable", "not_observable"})

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from app.figures.parameters import GROUPS
-from app.figures.style import LIGHT, Layout, Theme, Trace, axis, make_figure, milliseconds, scatter
-from magcal_core.samples import Floats, Times
+from app.reporting.figures.parameters import GROUPS
+from app.reporting.figures.style import LIGHT, Layout, Theme, Trace, axis, make_figure, milliseconds, scatter
+from magcal_core.arrays import Floats, Times
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure

@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 import pyarrow as pa
 
+from magcal_core.arrays import Times
 from magcal_core.calibration.sessions.trend import Trend
 from magcal_core.calibration.sessions.trend_states import TrendStates
-from magcal_core.samples import Times
 
 GROUPS: Final = (("bias", "_nt"), ("scale", ""), ("angle", "_deg"))
 POINTS: Final = 200

@@ -13,19 +13,18 @@ from pydantic import Field, JsonValue
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from app.auth import Reader
-from app.body import StrictJsonRoute
-from app.finite import without_nan
-from app.keys.repository import Caller
+from app.access.authentication import Reader
+from app.access.caller import Caller
+from app.http.concurrency import Places
+from app.http.dependencies import Db
+from app.http.schemas import Filter, Record, UtcTime, utc_text
+from app.http.strict_json import StrictJsonRoute
+from app.http.tables import TABLES, table_response, wanted_format, write_table
 from app.monitoring.trend_table import MOST_POINTS, POINTS, series_of, trend_table
 from app.parameter_sets.schemas import ParametersRead, TableFormat
 from app.parameter_sets.tables import ParameterSet
-from app.places import Places
-from app.resources import Db
+from app.records.json_numbers import without_nan
 from app.satellites.repository import SatelliteRepository
-from app.schemas import Filter, Record, UtcTime, utc_text
-from app.sessions.endpoints import TABLES
-from app.tabular import table_response, wanted_format, write_table
 from magcal_core.telemetry.times import parse_iso_ns
 
 if TYPE_CHECKING:

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Final
 from fastapi import APIRouter
 from pydantic import Field
 
-from app.auth import Reader
-from app.body import StrictJsonRoute
-from app.keys.repository import Caller
-from app.parameter_sets.refitting import AT_HAND, moments_of_set
-from app.places import Places
-from app.resources import Blobs, Db
-from app.schemas import Record, UtcTime
-from app.store import Store
+from app.access.authentication import Reader
+from app.access.caller import Caller
+from app.http.concurrency import Places
+from app.http.dependencies import Blobs, Db
+from app.http.schemas import Record, UtcTime
+from app.http.strict_json import StrictJsonRoute
+from app.parameter_sets.refits import AT_HAND, moments_of_set
+from app.storage.store import Store
 
 if TYPE_CHECKING:
-    from magcal_core.calibration.moments import FitMoments
+    from magcal_core.calibration.refit.moments import FitMoments
     from magcal_core.calibration.terms.bias_path import BiasPath
 
 router = APIRouter(route_class=StrictJsonRoute, prefix="/parameter-sets", tags=["parameter sets"])

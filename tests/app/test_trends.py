@@ -12,9 +12,9 @@ import pyarrow as pa
 import pytest
 
 from app.cli.main import run
-from app.database import new_id, utc_now
 from app.jobs.tables import Job
 from app.parameter_sets.tables import ParameterSet
+from app.storage.database import new_id, utc_now
 from magcal_core.calibration.sessions.trend import trend
 from magcal_core.telemetry.times import parse_iso_ns
 from tests.magcal_core.calibration.sessions.histories import history, nine

@@ -16,9 +16,9 @@ from datetime import UTC, datetime
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from magcal_core.calibration.result import Parameters, utc_text
+from magcal_core.arrays import Floats, Times
+from magcal_core.calibration.result import utc_text
 from magcal_core.calibration.sessions.trend_changes import (
     FEWEST_FOR_CHANGES,
     SIGNIFICANT_P,
@@ -37,10 +37,9 @@ from magcal_core.calibration.sessions.trend_life import (
 from magcal_core.calibration.sessions.trend_sets import Chosen, DatedSet, HasRecord, choose_sets
 from magcal_core.calibration.sessions.trend_states import NAMES, NS_A_YEAR, Smoothed, TrendStates
 from magcal_core.errors import BeyondHistoryError, InputError, OptionError, TimeError
+from magcal_core.sensor.parameters import Parameters
 from magcal_core.telemetry.times import parse_iso_ns
 
-Floats = NDArray[np.float64]
-Times = NDArray[np.datetime64]
 Moment = str | datetime | np.datetime64
 
 BIAS_UNIT_NT: Final = 40_000.0

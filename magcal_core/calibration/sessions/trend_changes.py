@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats
 from magcal_core.calibration.sessions.trend_filter import (
     GROUPS,
     History,
@@ -16,8 +17,6 @@ from magcal_core.calibration.sessions.trend_filter import (
     product,
     squared_distance,
 )
-
-Floats = NDArray[np.float64]
 
 SIGNIFICANT_P: Final = 1e-3
 """Probability, over all kinds, groups and places, below which a change is believed."""

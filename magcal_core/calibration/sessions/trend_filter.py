@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from magcal_core.arrays import Floats
 
 GROUPS: Final = ("bias_nt", "scale", "nonorthogonality_deg")
 """The groups of three that walk, scatter and jump each on their own."""

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from magcal_core.arrays import Floats
 
 _HELD: Final = 0.95
 _MOST_SPANS: Final = 2.0

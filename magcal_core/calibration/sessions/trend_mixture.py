@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from magcal_core.arrays import Floats
 
 _HELD: Final = 0.95
 _NORMAL: Final = 1.959964

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats
 from magcal_core.errors import InputError, OptionError, TimeError, TooFewSetsError
-from magcal_core.regressor_columns import is_step
+from magcal_core.sensor.regressors import is_step
 from magcal_core.telemetry.times import parse_iso_ns
-
-Floats = NDArray[np.float64]
 
 FEWEST: Final = 3
 """With two sets the prior decides how far a forecast may be off."""

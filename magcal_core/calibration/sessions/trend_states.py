@@ -6,17 +6,14 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from magcal_core.calibration.monitoring import field_jacobian
-from magcal_core.calibration.result import Parameters
+from magcal_core.arrays import Floats, Times
+from magcal_core.calibration.sessions.monitoring import field_jacobian
 from magcal_core.calibration.sessions.trend_changes import Explained
 from magcal_core.calibration.sessions.trend_filter import GROUPS, Passes, both_passes
 from magcal_core.calibration.sessions.trend_life import DAYS_A_YEAR, bound_nt
 from magcal_core.calibration.sessions.trend_mixture import standard_error
-
-Floats = NDArray[np.float64]
-Times = NDArray[np.datetime64]
+from magcal_core.sensor.parameters import Parameters
 
 NAMES: Final = tuple(f"{group}[{i}]" for group in GROUPS for i in range(3))
 NS_A_YEAR: Final = DAYS_A_YEAR * 86400e9

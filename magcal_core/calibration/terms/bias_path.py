@@ -9,15 +9,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from magcal_core.calibration.moments import FitMoments
+from magcal_core.arrays import Floats, Times
+from magcal_core.calibration.refit.moments import FitMoments
 from magcal_core.calibration.result import utc_text
 from magcal_core.calibration.terms.bias_steps import BiasStep, bias_steps
 from magcal_core.calibration.terms.wandering_bias import BIAS, MODELS, Blocks, Process, Solved, Wander, solved
-
-Floats = NDArray[np.float64]
-Times = NDArray[np.datetime64]
 
 STILL_ODDS: Final = 0.75
 """Probability, before the data are seen, that the bias does not wander."""

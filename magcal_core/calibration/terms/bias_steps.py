@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from magcal_core.calibration.moments import FitMoments
+from magcal_core.arrays import Floats, Indices
+from magcal_core.calibration.refit.moments import FitMoments
 from magcal_core.calibration.result import utc_text
 from magcal_core.calibration.terms.wandering_bias import (
     BIAS,
@@ -34,10 +34,7 @@ from magcal_core.calibration.terms.wandering_bias import (
     solved,
     step_information,
 )
-from magcal_core.regressor_columns import BEFORE
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from magcal_core.sensor.regressors import BEFORE
 
 LIMIT: Final = 25.0
 MOST_STEPS: Final = 2

@@ -20,10 +20,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.calibration.moments import FitMoments
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from magcal_core.arrays import Floats, Indices
+from magcal_core.calibration.refit.moments import FitMoments
 
 MEMORIES_S: Final = (300.0, 900.0, 2700.0, 8100.0, 32400.0)
 DEVIATIONS: Final = tuple(float(x) for x in np.geomspace(0.02, 8.0, 7))

@@ -7,11 +7,11 @@ from functools import cache
 
 import numpy as np
 
-from app.demo.mission import SESSIONS, tle_of
-from magcal_core.orbit.sgp4 import Sgp4Orbit
+from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
 from magcal_core.samples import Samples
-from magcal_core.sensor import SensorModel
-from magcal_core.simulation import simulate
+from magcal_core.sensor.model import SensorModel
+from magcal_core.simulation.dekart_mission import SESSIONS, tle_of
+from magcal_core.simulation.telemetry import simulate
 
 SENSOR = SensorModel(np.array([1200.0, -800.0, 500.0]), np.array([1.05, 0.97, 1.02]), np.array([0.8, -0.5, 0.4]))
 STEP_S = 15.0

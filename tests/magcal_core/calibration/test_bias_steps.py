@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import magcal_core as mc
-from magcal_core.calibration.moments import FitMoments
-from magcal_core.calibration.monitoring import ActiveSet
+from magcal_core.calibration.refit.moments import FitMoments
 from magcal_core.calibration.result import Calibration
+from magcal_core.calibration.sessions.monitoring import ActiveSet
 from magcal_core.calibration.terms import wandering_bias as wb
 from magcal_core.errors import OptionError
-from magcal_core.regressor_columns import step_column
+from magcal_core.sensor.regressors import step_column
 from magcal_core.sessions import monitor
 from tests.magcal_core.calibration.moving_bias import SENSOR, memory_nt, session, step_nt, time_of
 
