@@ -30,6 +30,7 @@ from app.http.problem_handlers import install_handlers
 from app.http.receiving import Admission, sweep_incoming
 from app.jobs import endpoints as jobs
 from app.jobs.engines.open_engine import Engine, open_engine
+from app.monitoring import endpoints as monitoring
 from app.monitoring import trends
 from app.operations import health
 from app.orbits import endpoints as orbits
@@ -41,12 +42,15 @@ from app.sessions import endpoints as sessions
 from app.settings import Settings
 from app.storage.database import Database
 from app.storage.open_store import open_store
+from app.uploads import endpoints as uploads
 from app.uploads.batching import Keeper
 from app.uploads.ingest import Ingest
 
 API: Final = "/api/v1"
 ROOMS: Final = (
     sessions,
+    uploads,
+    monitoring,
     satellites,
     orbits,
     jobs,

@@ -1,6 +1,5 @@
 """Every plot, once, in Python: dashboard, report and notebook draw the same; data in, plotly figures out."""
 
-from app.figures.trend import bias_path_figure, trend_figure
 from app.reporting.figures.parameters import (
     AblationRow,
     ablation_bar,
@@ -23,6 +22,7 @@ from app.reporting.figures.sessions import housekeeping, raw_field, sphere_cover
 from app.reporting.figures.studies import coefficient_errors, energy_terms, error_against_angle, settling
 from app.reporting.figures.style import DARK, LIGHT, MAX_POINTS, THEMES, Theme
 from app.reporting.figures.timeline import InForce, SessionMark, session_timeline
+from app.reporting.figures.trend import bias_path_figure, trend_figure
 
 __all__ = [
     "DARK",
