@@ -103,7 +103,7 @@ def _print(found: Trend) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from magcal_core.calibration.result import utc_text
+    from magcal_core.telemetry.times import utc_text
 
     record, now = found.to_dict(), found.at(found.at_utc)
     table = Table(title=f"at {utc_text(found.at_utc)}, from {len(found.sets)} sets")

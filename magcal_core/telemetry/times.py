@@ -195,3 +195,8 @@ def check_plausible(t_ns: Nanoseconds, faults: FaultList) -> None:
             "outside the years 1972 to 2099",
             np.datetime64(int(t_ns[row]), "ns"),
         )
+
+
+def utc_text(t_utc: np.datetime64) -> str:
+    """Return ``t_utc`` in ISO 8601 with ``Z`` and microseconds."""
+    return f"{np.datetime_as_string(t_utc, unit='us')}Z"

@@ -18,7 +18,6 @@ from typing import Final
 import numpy as np
 
 from magcal_core.arrays import Floats, Times
-from magcal_core.calibration.result import utc_text
 from magcal_core.calibration.sessions.trend_changes import (
     FEWEST_FOR_CHANGES,
     SIGNIFICANT_P,
@@ -38,7 +37,7 @@ from magcal_core.calibration.sessions.trend_sets import Chosen, DatedSet, HasRec
 from magcal_core.calibration.sessions.trend_states import NAMES, NS_A_YEAR, Smoothed, TrendStates
 from magcal_core.errors import BeyondHistoryError, InputError, OptionError, TimeError
 from magcal_core.sensor.parameters import Parameters
-from magcal_core.telemetry.times import parse_iso_ns
+from magcal_core.telemetry.times import parse_iso_ns, utc_text
 
 Moment = str | datetime | np.datetime64
 

@@ -10,14 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 
-from magcal_core.calibration.result import Calibration, utc_text
+from magcal_core.calibration.reasons import Verdict
 from magcal_core.calibration.sessions.trend import Trend, trend
 from magcal_core.errors import EstimationError, InputError, OptionError, TooFewSetsError
 from magcal_core.samples import Samples
+from magcal_core.telemetry.times import utc_text
 
 FEWEST: Final = 3
 ORBITS_A_WINDOW: Final = 2.0
@@ -30,7 +31,21 @@ _ENOUGH: Final = 0.02
 """Share of a window that the last one may lack: the last sample is a step short of its end."""
 _HALF: Final = 0.5
 
-Calibrate = Callable[[Samples], Calibration]
+
+class Calibrated(Protocol):
+    """A calibration, as far as windows need it."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """What is said of it in one word."""
+        ...
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the record."""
+        ...
+
+
+Calibrate = Callable[[Samples], Calibrated]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +54,7 @@ class Window:
 
     begin: np.datetime64
     end: np.datetime64
-    calibration: Calibration | None
+    calibration: Calibrated | None
     error: str | None
 
     @property

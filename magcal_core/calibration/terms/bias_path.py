@@ -11,10 +11,18 @@ from typing import Final
 import numpy as np
 
 from magcal_core.arrays import Floats, Times
-from magcal_core.calibration.refit.moments import FitMoments
-from magcal_core.calibration.result import utc_text
 from magcal_core.calibration.terms.bias_steps import BiasStep, bias_steps
-from magcal_core.calibration.terms.wandering_bias import BIAS, MODELS, Blocks, Process, Solved, Wander, solved
+from magcal_core.calibration.terms.wandering_bias import (
+    BIAS,
+    MODELS,
+    Blocks,
+    KeptMoments,
+    Process,
+    Solved,
+    Wander,
+    solved,
+)
+from magcal_core.telemetry.times import utc_text
 
 STILL_ODDS: Final = 0.75
 """Probability, before the data are seen, that the bias does not wander."""
@@ -52,7 +60,7 @@ class BiasPath:
         }
 
 
-def bias_path(moments: FitMoments) -> BiasPath:
+def bias_path(moments: KeptMoments) -> BiasPath:
     """Return the path of the bias that the moments of a fit show.
 
     Notes

@@ -20,14 +20,13 @@ from typing import Final
 import numpy as np
 
 from magcal_core.arrays import Floats, Indices
-from magcal_core.calibration.refit.moments import FitMoments
-from magcal_core.calibration.result import utc_text
 from magcal_core.calibration.terms.wandering_bias import (
     BIAS,
     DEVIATIONS,
     MODELS,
     STEP_PRIOR_NT,
     Blocks,
+    KeptMoments,
     Process,
     Solved,
     log_likelihood,
@@ -35,6 +34,7 @@ from magcal_core.calibration.terms.wandering_bias import (
     step_information,
 )
 from magcal_core.sensor.regressors import BEFORE
+from magcal_core.telemetry.times import utc_text
 
 LIMIT: Final = 25.0
 MOST_STEPS: Final = 2
@@ -138,7 +138,7 @@ class BiasSteps:
 NOT_SEARCHED: Final = BiasSteps("not_searched", 0.0, None, ())
 
 
-def bias_steps(moments: FitMoments) -> BiasSteps:
+def bias_steps(moments: KeptMoments) -> BiasSteps:
     """Return the steps of the bias that the moments of a fit show."""
     blocks = Blocks.of(moments)
     if len(blocks) < _FEWEST_BLOCKS or blocks.freedom < 1.0:
@@ -233,7 +233,7 @@ def _gains(blocks: Blocks, here: Solved, places: Indices, known: Sequence[int]) 
     return np.clip(gain, 0.0, here.rss * (1.0 - 1e-12)), error
 
 
-def step_sizes(moments: FitMoments, blocks: Blocks, places: Sequence[int]) -> list[tuple[Floats, Floats]]:
+def step_sizes(moments: KeptMoments, blocks: Blocks, places: Sequence[int]) -> list[tuple[Floats, Floats]]:
     """Return change, nT, and covariance, nT^2, of the reported bias at each of ``places``.
 
     The two blocks about each step are left out: when in them it happened is not known. Averaged over the noise models

@@ -15,13 +15,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from magcal_core.arrays import Floats, Indices
-from magcal_core.calibration.refit.moments import FitMoments
+from magcal_core.arrays import Floats, Indices, Times
+from magcal_core.sensor.parameters import Parameters
 
 MEMORIES_S: Final = (300.0, 900.0, 2700.0, 8100.0, 32400.0)
 DEVIATIONS: Final = tuple(float(x) for x in np.geomspace(0.02, 8.0, 7))
@@ -40,6 +39,76 @@ class Wander:
 
 
 MODELS: Final = (Wander(0.0, 0.0), *(Wander(memory, size) for memory in MEMORIES_S for size in DEVIATIONS))
+
+
+class KeptSums(Protocol):
+    """Sums over the blocks of a fit, as its moments have them."""
+
+    @property
+    def normals(self) -> Floats:
+        """J^T W J, shape (m, q, q)."""
+        ...
+
+    @property
+    def scores(self) -> Floats:
+        """J^T W r, shape (m, q)."""
+        ...
+
+    @property
+    def costs(self) -> Floats:
+        """r^T W r, shape (m,), nT^2."""
+        ...
+
+    @property
+    def weights(self) -> Floats:
+        """Weight of the residuals, shape (m,)."""
+        ...
+
+
+class KeptMoments(Protocol):
+    """The moments of a fit (`FitMoments`), as far as a bias that moves needs them."""
+
+    @property
+    def sums(self) -> KeptSums:
+        """Sums over the blocks."""
+        ...
+
+    @property
+    def begins(self) -> Times:
+        """First sample of each block, UTC, shape (m,)."""
+        ...
+
+    @property
+    def ends(self) -> Times:
+        """Last sample of each block, UTC, shape (m,)."""
+        ...
+
+    @property
+    def own(self) -> Floats:
+        """The fit's own unknowns."""
+        ...
+
+    @property
+    def fitted(self) -> tuple[str, ...]:
+        """Regressors that the fit has."""
+        ...
+
+    @property
+    def is_clock_fitted(self) -> bool:
+        """Whether the clock's offset was an unknown."""
+        ...
+
+    def unknowns(self, names: Sequence[str], *, has_clock: bool) -> Indices:
+        """Return where the unknowns of a model with the regressors ``names`` stand."""
+        ...
+
+    def parameters(self, own: Floats, names: Sequence[str]) -> Parameters:
+        """Return the reported parameters at the unknowns ``own``."""
+        ...
+
+    def to_parameters(self, own: Floats) -> Floats:
+        """Return the derivative of the reported parameters by the unknowns."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +131,7 @@ class Blocks:
     middle_s: Floats
 
     @classmethod
-    def of(cls, moments: FitMoments) -> Blocks:
+    def of(cls, moments: KeptMoments) -> Blocks:
         """Return the blocks of the moments with the unknowns that the fit had."""
         take = moments.unknowns(moments.fitted, has_clock=moments.is_clock_fitted)
         sums, begins = moments.sums, moments.begins
@@ -96,7 +165,7 @@ class Blocks:
         """Residuals, by weight, that the fit's unknowns leave free."""
         return float(self.weights.sum()) - self.scores.shape[1]
 
-    def after(self, place: int) -> NDArray[np.float64]:
+    def after(self, place: int) -> Floats:
         """Return 1 for the blocks from ``place`` on, 0 before, shape (m,)."""
         return (np.arange(len(self)) >= place).astype(np.float64)
 
