@@ -31,7 +31,7 @@ from app.http.receiving import Admission, sweep_incoming
 from app.jobs import endpoints as jobs
 from app.jobs.engines.open_engine import Engine, open_engine
 from app.monitoring import endpoints as monitoring
-from app.monitoring import trends
+from app.monitoring import rollouts, trends
 from app.operations import health
 from app.orbits import endpoints as orbits
 from app.parameter_sets import bias_paths, pointing, refits
@@ -59,6 +59,7 @@ ROOMS: Final = (
     refits,
     bias_paths,
     trends,
+    rollouts,
     field,
     keys,
     displays,

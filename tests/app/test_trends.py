@@ -217,3 +217,29 @@ def test_the_command_fails_with_the_code_and_with_2_for_a_time_that_is_none(caps
     status, _, err = ran(capsys, *files, "--at", "2090-01-01T00:00:00Z")
     assert (status, err.split(": ")[1]) == (1, "beyond_history")
     assert ran(capsys, *files, "--at", "yesterday")[0] == 2
+
+
+def test_a_rollout_says_what_changes_today_and_at_the_end_of_the_life(stored):
+    """The set before the last one against the last, which is in force: 40,000 nT of field, errors of tens of nT."""
+    api, sets = stored
+    found = api.get(f"/parameter-sets/{sets[7]['id']}/rollout").json()
+    assert (found["parameter_set_id"], found["active_id"]) == (sets[7]["id"], sets[8]["id"])
+    assert found["field_change_nt"] < 6.0 * found["field_change_error_nt"]
+    assert found["today"]["set_nt"] > 0.0
+    assert found["at_end"]["set_nt"] > found["today"]["set_nt"]
+    assert found["at_end"]["active_nt"] > found["today"]["active_nt"]
+    assert found["life"]["parameter_set_id"] == sets[7]["id"]
+    assert found["text"].startswith("the corrected field changes by ")
+    old = api.get(f"/parameter-sets/{sets[0]['id']}/rollout").json()
+    assert old["today"]["set_nt"] > 500.0
+    assert "no longer good" in old["text"]
+    own = api.get(f"/parameter-sets/{sets[8]['id']}/rollout").json()
+    assert (own["active_id"], own["field_change_nt"]) == (None, None)
+
+
+def test_a_rollout_without_a_trend_still_says_what_changes(stored):
+    api, _ = stored
+    (one, *_) = api.get("/parameter-sets", params={"satellite": "trending", "magnetometer": "bare"}).json()["items"]
+    found = api.get(f"/parameter-sets/{one['id']}/rollout").json()
+    assert found["life"] is None
+    assert "cannot be told: 2 parameter sets count" in found["text"]

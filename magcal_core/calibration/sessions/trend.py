@@ -169,6 +169,12 @@ class Trend:
         text = life_text(days, self.share, is_capped=is_capped, why_none="")
         return Life(label, self.share, days, is_capped, utc_text(end), text)
 
+    def error_bound_nt(self, parameters: Parameters | Mapping[str, object] | Floats, t_utc: Moment) -> float:
+        """Return the bound that the field's error of a set with these parameters keeps at a time, nT."""
+        times = np.array([_moment(t_utc)])
+        self._require_near(times)
+        return float(self.smoothed.bounds_nt(_nine(parameters), self.smoothed.years_of(times))[0])
+
     def bounds(self, parameters: Floats) -> tuple[float, Floats, Floats]:
         """Return when a life is counted from, years, and times from there with the bound of the field's error, nT."""
         begin = max(float(self.smoothed.years_of(np.array([self.at_utc]))[0]), self._last_years())

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_core.arrays import Floats, Times
+from magcal_core.arrays import Floats, Indices, Times
 from magcal_core.calibration.terms.bias_steps import BiasStep, bias_steps
 from magcal_core.calibration.terms.wandering_bias import (
     BIAS,
@@ -22,6 +22,7 @@ from magcal_core.calibration.terms.wandering_bias import (
     Wander,
     solved,
 )
+from magcal_core.sensor.regressors import is_step, step_column
 from magcal_core.telemetry.times import utc_text
 
 STILL_ODDS: Final = 0.75
@@ -76,22 +77,39 @@ def bias_path(moments: KeptMoments) -> BiasPath:
     weights = odds * np.exp(likelihood - likelihood.max())
     weights /= weights.sum()
     take = moments.unknowns(moments.fitted, has_clock=moments.is_clock_fitted)
-    to_bias = moments.to_parameters(moments.own)[0:3, take]
+    middle = moments.begins + (moments.ends - moments.begins) // 2
+    to_bias, fitted_nt = _bias_of_blocks(moments, take, middle)
     paths = [_path(blocks, model, one, places, to_bias) for model, one in found]
     moved = np.array([path for path, _ in paths])
     mean = np.einsum("k,kmi->mi", weights, moved)
     variance = np.einsum("k,kmi->mi", weights, np.array([one for _, one in paths]) + (moved - mean) ** 2)
     own = moments.parameters(moments.own, moments.fitted).bias_nt
-    still = found[0][1]
-    of_fit = to_bias @ still.inverse[: len(take), : len(take)] @ to_bias.T * still.variance
-    middle = moments.begins + (moments.ends - moments.begins) // 2
-    return BiasPath(middle, own + mean, np.sqrt(variance), own, np.sqrt(np.diag(of_fit)), steps)
+    still, at_end = found[0][1], to_bias[-1]
+    of_fit = at_end @ still.inverse[: len(take), : len(take)] @ at_end.T * still.variance
+    return BiasPath(middle, own + fitted_nt + mean, np.sqrt(variance), own, np.sqrt(np.diag(of_fit)), steps)
+
+
+def _bias_of_blocks(moments: KeptMoments, take: Indices, middle: Times) -> tuple[Floats, Floats]:
+    """Return the bias's derivative by the fit's unknowns in each block, (m, 3, q), and what fitted steps add, (m, 3).
+
+    A fit with steps among its regressors has the bias after the last one; before them it was another.
+    """
+    jacobian = moments.to_parameters(moments.own)[:, take]
+    slopes = moments.parameters(moments.own, moments.fitted).regressors
+    to_bias = np.repeat(jacobian[None, 0:3], len(middle), axis=0)
+    added = np.zeros((len(middle), 3))
+    for name in filter(is_step, moments.fitted):
+        column = step_column(name, middle)
+        rows = jacobian[moments.unknowns((name,), has_clock=False)[9:]]
+        to_bias = to_bias + column[:, None, None] * rows
+        added += np.outer(column, slopes[name])
+    return to_bias, added
 
 
 def _path(blocks: Blocks, model: Wander, here: Solved, places: list[int], to_bias: Floats) -> tuple[Floats, Floats]:
     """Return how far the bias is from the fit's in each block and its variance, shape (m, 3) both, nT, nT^2."""
     m, q = len(blocks), blocks.scores.shape[1]
-    of_bias = to_bias[:, BIAS]
+    of_bias = to_bias[-1][:, BIAS]
     others = np.zeros((m, 3, len(here.estimate)))
     others[:, :, :q] = to_bias
     for i, place in enumerate(places):

@@ -145,8 +145,13 @@ class Blocks:
         """Return blocks of ``count`` neighbours each."""
         firsts = np.arange(0, len(self), count)
         middles = np.add.reduceat(self.middle_s, firsts) / np.diff([*firsts, len(self)])
-        sums = (np.add.reduceat(one, firsts, axis=0) for one in (self.normals, self.scores, self.costs, self.weights))
-        return Blocks(*sums, middles)
+        return Blocks(
+            np.add.reduceat(self.normals, firsts, axis=0),
+            np.add.reduceat(self.scores, firsts, axis=0),
+            np.add.reduceat(self.costs, firsts),
+            np.add.reduceat(self.weights, firsts),
+            middles,
+        )
 
     def without(self, left_out: Sequence[int]) -> Blocks:
         """Return the blocks with some of them empty."""
@@ -163,7 +168,7 @@ class Blocks:
     @property
     def freedom(self) -> float:
         """Residuals, by weight, that the fit's unknowns leave free."""
-        return float(self.weights.sum()) - self.scores.shape[1]
+        return float(self.weights.sum()) - float(self.scores.shape[1])
 
     def after(self, place: int) -> Floats:
         """Return 1 for the blocks from ``place`` on, 0 before, shape (m,)."""

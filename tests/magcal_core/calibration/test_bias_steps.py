@@ -258,3 +258,16 @@ def test_a_step_is_a_regressor_by_name():
     for bad in ("before:noon", "before:2022-02-20T00:00:00"):
         with pytest.raises(OptionError, match="want before:TIME"):
             mc.calibrate(plain, method="vector", regressors=(bad,))
+
+
+def test_the_path_of_a_fit_with_steps_has_the_bias_on_both_sides():
+    plain = session(510)
+    moved = step_nt(plain, 0.4, (600.0, -300.0, 0.0))
+    fitted = mc.calibrate(session(510, moved), method="vector", bias_steps="fit", with_moments=True)
+    assert fitted.moments is not None
+    path = mc.bias_path(fitted.moments)
+    assert path.steps == ()
+    at = np.searchsorted(plain.t_utc, path.t_utc).clip(max=len(plain) - 1)
+    away = np.abs(path.bias_nt - SENSOR.bias_nt - moved[at])
+    assert np.all(away < 4.5 * path.standard_errors_nt + 5.0)
+    np.testing.assert_allclose(path.own_bias_nt, fitted.parameters.bias_nt)
