@@ -28,6 +28,7 @@ from magcal_core.sensor.regressors import (
     missing_columns,
     regressor_of,
     source_of,
+    with_steps,
     with_time,
 )
 
@@ -154,7 +155,8 @@ def compare_sensors(
 def _corrected(samples: Samples, parameters: Parameters) -> CorrectedReadings:
     ordered = in_time_order(samples)
     used = ordered.take(ordered.is_used)
-    keeping = with_time(used.housekeeping, used.t_utc, parameters.time_base_utc)
+    timed = with_time(used.housekeeping, used.t_utc, parameters.time_base_utc)
+    keeping = with_steps(parameters.regressors, timed, used.t_utc)
     missing = missing_columns(parameters.regressors, keeping)
     if missing:
         raise OptionError(f"no housekeeping column {missing[0]!r}, which the parameters need")

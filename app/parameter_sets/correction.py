@@ -12,7 +12,7 @@ from magcal_core.errors import Fault, TelemetryFormatError
 from magcal_core.samples import Samples
 from magcal_core.sensor.model import SensorModel
 from magcal_core.sensor.parameters import Parameters
-from magcal_core.sensor.regressors import is_of_scale, missing_columns, source_of, with_time
+from magcal_core.sensor.regressors import is_of_scale, missing_columns, source_of, with_steps, with_time
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,8 @@ class Correction:
 
     def _terms(self, samples: Samples) -> tuple[Floats, Floats]:
         """Return what the bias and, as a share of the raw reading, the scale add to each reading, shape (n, 3)."""
-        keeping = with_time(samples.housekeeping, samples.t_utc, self.time_base_utc)
+        timed = with_time(samples.housekeeping, samples.t_utc, self.time_base_utc)
+        keeping = with_steps(self.regressors, timed, samples.t_utc)
         missing = missing_columns(self.regressors, keeping)
         if missing:
             faults = [Fault(f"column {name}", "missing; the parameter set has it as a regressor") for name in missing]

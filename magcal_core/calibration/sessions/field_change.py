@@ -18,6 +18,18 @@ def field_change(at: Parameters, mean_field_nt: float, step: Floats, covariance:
 
     ``step`` and ``covariance``: in the order of `Parameters.names`, of which the first nine count.
     """
+    jacobian = field_jacobian(at, mean_field_nt)
+    count = len(jacobian) // 3
+    size = float(np.sqrt(np.sum((jacobian @ step[:9]) ** 2) / count))
+    error = float(np.sqrt(max(np.einsum("ij,jk,ik->", jacobian, covariance[:9, :9], jacobian), 0.0) / count))
+    return size, error
+
+
+def field_jacobian(at: Parameters, mean_field_nt: float) -> Floats:
+    """Return the change of the corrected field, nT, by the nine parameters, shape (192, 9).
+
+    Rows: three components in each of 64 directions of a field of ``mean_field_nt``.
+    """
     b_nt = mean_field_nt * _sphere()
     angles_deg, scale = at.nonorthogonality_deg, at.scale
     matrix = matrix_of_parameters(scale, np.deg2rad(angles_deg))
@@ -32,11 +44,7 @@ def field_change(at: Parameters, mean_field_nt: float, step: Floats, covariance:
         nudged[i] += 1e-3
         slope = (matrix_of_parameters(scale, np.deg2rad(nudged)) - matrix) / 1e-3
         columns.append(b_nt @ (inverse @ slope).T)
-    jacobian = np.stack(columns, axis=-1).reshape(-1, 9)
-    count = len(b_nt)
-    size = float(np.sqrt(np.sum((jacobian @ step[:9]) ** 2) / count))
-    error = float(np.sqrt(max(np.einsum("ij,jk,ik->", jacobian, covariance[:9, :9], jacobian), 0.0) / count))
-    return size, error
+    return np.stack(columns, axis=-1).reshape(-1, 9)
 
 
 def _sphere() -> Floats:

@@ -19,6 +19,7 @@ from magcal_core.errors import InputError, OptionError
 from magcal_core.numerics.blocks import BlockScores
 from magcal_core.observations import Observations, residuals_nt
 from magcal_core.sensor.parameters import Parameters
+from magcal_core.sensor.regressors import BEFORE, is_step
 
 MIN_SAMPLES: Final = 12
 SIGNIFICANT_P: Final = 1e-3
@@ -92,6 +93,13 @@ class ActiveSet:
             if not isinstance(statistics, Mapping):
                 raise InputError("the record is no parameter set: statistics are not a mapping")
             covariance = np.array(record["covariance"], np.float64)
+            slopes = parameters.regressors
+            if any(map(is_step, slopes)):
+                # What the bias was before a step inside its own data says nothing of others.
+                told = [not name.startswith(f"regressors.{BEFORE}") for name in parameters.names]
+                covariance = covariance[np.ix_(told, told)]
+                kept = {name: slope for name, slope in slopes.items() if not is_step(name)}
+                parameters = replace(parameters, regressors=kept)
             rms_nt = float(statistics["after"]["rms_nt"])
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"the record is no parameter set: {error}") from error

@@ -12,6 +12,7 @@ from magcal_core.calibration.sessions.consistency import ParameterDifference
 from magcal_core.calibration.sessions.field_change import field_change
 from magcal_core.calibration.sessions.monitoring import MATERIAL_SHARE, SIGNIFICANT_P, ActiveSet, differences_of
 from magcal_core.sensor.parameters import Parameters
+from magcal_core.sensor.regressors import is_step
 
 _COMPARED: Final = 9
 """Bias, scale factors and angles: a clock belongs to the orbit, and regressors move the bias."""
@@ -83,7 +84,7 @@ def agreement_with(
     regressors is the bias at other values of them. Only what both have is compared: one may have a clock that the
     other lacks, and their regressors may stand in another order.
     """
-    if is_vector is not active.is_vector or set(parameters.regressors) != set(active.parameters.regressors):
+    if is_vector is not active.is_vector or _kind(parameters) != _kind(active.parameters):
         return None
     if parameters.follows_time and (parameters.time_base_utc is None) is not (active.parameters.time_base_utc is None):
         return None
@@ -102,3 +103,8 @@ def agreement_with(
         max(active.residual_rms_nt, MATERIAL_SHARE * mean_field_nt),
         min(1.0, _COMPARED * differences[0].p_value),
     )
+
+
+def _kind(parameters: Parameters) -> set[str]:
+    """Return the regressors that make the bias another one; a step inside the data does not: it is that after it."""
+    return {name for name in parameters.regressors if not is_step(name)}
