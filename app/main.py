@@ -29,6 +29,9 @@ from app.keys import endpoints as keys
 from app.limits import RequestLimits
 from app.logs import RequestLog
 from app.methods import Methods
+from app.notifications import endpoints as notifications
+from app.notifications.event_stream import NewestEntry
+from app.notifications.notifier import Notifier
 from app.oidc import open_issuer
 from app.orbits import endpoints as orbits
 from app.parameter_sets import endpoints as parameter_sets
@@ -44,7 +47,19 @@ from app.settings import Settings
 from app.store import open_store
 
 API: Final = "/api/v1"
-ROOMS: Final = (sessions, satellites, orbits, jobs, parameter_sets, pointing, refitting, field, keys, displays)
+ROOMS: Final = (
+    sessions,
+    satellites,
+    orbits,
+    jobs,
+    parameter_sets,
+    pointing,
+    refitting,
+    field,
+    keys,
+    displays,
+    notifications,
+)
 STOP_GRACE_S: Final = 20.0
 
 log = structlog.get_logger()
@@ -79,6 +94,9 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
     app.state.running = Running()
     app.state.ingest = Ingest(database, store, app.state.queue, settings)
     app.state.keeper = Keeper(app.state.ingest, database)
+    app.state.newest_entry = NewestEntry(database)
+    app.state.is_stopping = lambda: False
+    app.state.notifier = Notifier(database, settings)
     app.include_router(health.router)
     api = APIRouter(prefix=API)
     for room in ROOMS:
@@ -106,10 +124,12 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         log.info("incoming_swept", files=left)
     if engine.workers is not None:
         engine.workers.start()
+    app.state.notifier.start()
     try:
         yield
     finally:
         if engine.workers is not None:
             await run_in_threadpool(engine.workers.stop, STOP_GRACE_S)
         await run_in_threadpool(app.state.keeper.close)
+        await run_in_threadpool(app.state.notifier.stop)
         app.state.database.close()

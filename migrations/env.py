@@ -10,7 +10,9 @@ from alembic.autogenerate.api import AutogenContext
 import app.idempotency
 import app.jobs.tables
 import app.keys.tables
+import app.notifications.tables
 import app.orbits.tables
+import app.outbox.tables
 import app.parameter_sets.tables
 import app.satellites.tables
 import app.sessions.tables

@@ -19,6 +19,7 @@ from sqlalchemy.orm import Session
 
 from app.database import DatabaseNow, JsonColumn
 from app.errors import Problem, ServiceError, problem
+from app.jobs.endings import tell_ended
 from app.jobs.reprocessing import settle
 from app.jobs.tables import Job
 
@@ -208,6 +209,7 @@ def finish(
     ended = session.execute(FINISH, held | {"to_state": state, "why": error, "found": result}).first()
     if ended is None:
         raise LostClaimError(f"attempt {claim.attempt} no longer holds job {claim.job_id}")
+    tell_ended(session, [claim.job_id])
     if ended.parent_id is not None:
         settle(session, ended.parent_id)
 
@@ -227,11 +229,13 @@ def _holds(claim: Claim) -> ColumnElement[bool]:
 
 
 def _end(session: Session, which: ColumnElement[bool], state: str, error: Problem | None) -> int:
-    ended = _ending(which).values(state=state, error=error).returning(JOBS.c.parent_id)
-    parents = session.scalars(ended).all()
-    for parent_id in set(parents) - {None}:
+    ended = session.execute(
+        _ending(which).values(state=state, error=error).returning(JOBS.c.id, JOBS.c.parent_id)
+    ).all()
+    tell_ended(session, [job_id for job_id, _ in ended])
+    for parent_id in {parent_id for _, parent_id in ended} - {None}:
         settle(session, str(parent_id))
-    return len(parents)
+    return len(ended)
 
 
 def _ending(which: ColumnElement[bool]) -> Update:

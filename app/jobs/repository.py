@@ -9,6 +9,7 @@ from sqlalchemy.orm import Session
 
 from app.database import DatabaseNow, new_id, utc_now
 from app.errors import ConflictError, NotFoundError, QuotaError
+from app.jobs.endings import tell_ended
 from app.jobs.kinds import JOB_KINDS
 from app.jobs.port import Queue
 from app.jobs.reprocessing import KIND, cancel_reprocessing, progress_of, settle
@@ -100,6 +101,7 @@ class JobRepository:
             update(Job)
             .where(Job.id == job_id, Job.state == "queued")
             .values(state="cancelled", cancel_requested=True, finished_at=DatabaseNow())
+            .returning(Job.id)
             .execution_options(synchronize_session=False)
         )
         asked = (
@@ -111,7 +113,7 @@ class JobRepository:
         if job.kind == KIND:
             cancel_reprocessing(self.session, job_id)
         else:
-            self.session.execute(stopped)
+            tell_ended(self.session, self.session.scalars(stopped).all())
             self.session.execute(asked)
             if job.parent_id is not None:
                 settle(self.session, job.parent_id)

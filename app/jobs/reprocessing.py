@@ -13,6 +13,7 @@ from sqlalchemy.orm import Session
 
 from app.database import DatabaseNow, new_id, utc_now
 from app.errors import ConflictError
+from app.jobs.endings import tell_ended
 from app.jobs.port import Queue
 from app.jobs.schemas import ReprocessingBody
 from app.jobs.tables import Job, JobSession
@@ -117,12 +118,14 @@ def settle(session: Session, parent_id: str) -> None:
     if session.scalar(select(exists(unended))):
         return
     result = {"succeeded": 0, "failed": 0, "cancelled": 0} | _counts(session, parent_id)
-    session.execute(
+    ended = session.scalars(
         update(Job)
         .where(Job.id == parent_id, Job.state == "running")
         .values(state="succeeded", progress=1.0, result=result, finished_at=DatabaseNow())
+        .returning(Job.id)
         .execution_options(synchronize_session=False)
-    )
+    ).all()
+    tell_ended(session, ended)
 
 
 def cancel_reprocessing(session: Session, parent_id: str) -> None:
@@ -131,15 +134,20 @@ def cancel_reprocessing(session: Session, parent_id: str) -> None:
         ("queued", {"state": "cancelled", "cancel_requested": True, "finished_at": DatabaseNow()}),
         ("running", {"cancel_requested": True}),
     ):
-        session.execute(
+        changed = session.scalars(
             update(Job)
             .where(Job.parent_id == parent_id, Job.state == state)
             .values(values)
+            .returning(Job.id)
             .execution_options(synchronize_session=False)
-        )
-    session.execute(
+        ).all()
+        if state == "queued":
+            tell_ended(session, changed)
+    ended = session.scalars(
         update(Job)
         .where(Job.id == parent_id, Job.state == "running")
         .values(state="cancelled", cancel_requested=True, finished_at=DatabaseNow())
+        .returning(Job.id)
         .execution_options(synchronize_session=False)
-    )
+    ).all()
+    tell_ended(session, ended)

@@ -12,6 +12,8 @@ from sqlalchemy.orm import Session
 from app.database import new_id, utc_now
 from app.errors import ConflictError, NotFoundError, RefusedVerdictError
 from app.keys.repository import Caller, record_event
+from app.outbox.events import Event, parameter_set_activated, parameter_set_created
+from app.outbox.log import append
 from app.paging import fetch_page
 from app.parameter_sets.schemas import ParameterSetQuery, ParameterSetRead
 from app.parameter_sets.tables import Activation, ParameterSet, ParameterSetSession
@@ -39,6 +41,7 @@ class ParameterSetRepository:
         self.session.add(row)
         self.session.flush()
         self.session.add_all(ParameterSetSession(parameter_set_id=row.id, session_id=one) for one in session_ids)
+        append(self.session, [_created(row)])
 
     def get(self, parameter_set_id: str) -> ParameterSet:
         """Return the parameter set ``parameter_set_id``."""
@@ -154,6 +157,31 @@ class ParameterSetRepository:
                 )
             )
             self.session.flush()
+        append(self.session, [_activated(current, row, self.caller)])
+
+
+def _created(row: ParameterSet) -> Event:
+    return parameter_set_created(
+        parameter_set_id=row.id,
+        satellite_id=row.satellite_id,
+        magnetometer_id=row.magnetometer_id,
+        job_id=row.job_id,
+        grade=row.grade,
+        method=row.method,
+    )
+
+
+def _activated(before: Activation | None, after: ParameterSet | None, caller: Caller) -> Event:
+    place = after or before
+    if place is None:
+        raise ConflictError("neither a parameter set that was in force nor one that is")
+    return parameter_set_activated(
+        parameter_set_id=None if after is None else after.id,
+        previous_id=None if before is None else before.parameter_set_id,
+        satellite_id=place.satellite_id,
+        magnetometer_id=place.magnetometer_id,
+        by=caller.key_id,
+    )
 
 
 def matching(query: ParameterSetQuery, caller: Caller) -> list[ColumnElement[bool]]:

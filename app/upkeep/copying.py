@@ -13,10 +13,11 @@ from app.database import Base, Database
 from app.errors import ConflictError
 from app.jobs.tables import Job
 from app.migrate import require_head
+from app.outbox.tables import OutboxEntry
 
 ROOMS: Final = (
-    "app.idempotency", "app.jobs.tables", "app.keys.tables", "app.orbits.tables", "app.parameter_sets.tables",
-    "app.satellites.tables", "app.sessions.tables", "app.store",
+    "app.idempotency", "app.jobs.tables", "app.keys.tables", "app.notifications.tables", "app.orbits.tables",
+    "app.outbox.tables", "app.parameter_sets.tables", "app.satellites.tables", "app.sessions.tables", "app.store",
 )  # fmt: skip
 """Modules whose tables are the database."""
 ROWS_AT_ONCE: Final = 200
@@ -50,11 +51,19 @@ def copy(source: Database, target: Database, *, progress: Callable[[str, int], N
                 counts[table.name] += len(rows)
                 if progress is not None:
                     progress(table.name, counts[table.name])
+        _count_on(new)
         for name, rows_copied in counts.items():
             found = new.scalar(select(func.count()).select_from(Base.metadata.tables[name]))
             if found != rows_copied:
                 raise ConflictError(f"table {name}: {rows_copied} rows were sent, {found} arrived")
     return counts
+
+
+def _count_on(session: Session) -> None:
+    """Let the numbers that PostgreSQL gives to entries of the log go on behind those that were copied."""
+    if session.get_bind().dialect.name == "postgresql":
+        following = select(func.coalesce(func.max(OutboxEntry.id), 0) + 1).scalar_subquery()
+        session.execute(select(func.setval(func.pg_get_serial_sequence("outbox", "id"), following, False)))
 
 
 def _parts(session: Session, table: Table) -> Iterator[Sequence[RowMapping]]:
