@@ -16,11 +16,11 @@ from typing import Final
 from sqlalchemy import and_, delete, func, select, update
 from sqlalchemy.orm import Session
 
-from app.database import new_id, utc_now
 from app.notifications.sending import GONE, Outcome, Parcel
 from app.notifications.tables import Delivery, Webhook
 from app.outbox.events import Entry
 from app.outbox.subscription import Subscriber
+from app.storage.database import new_id, utc_now
 
 FIRST_PAUSE_S: Final = 1.0
 LONGEST_PAUSE_S: Final = 300.0

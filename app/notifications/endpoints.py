@@ -6,17 +6,17 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
-from app.auth import Administrator
-from app.body import StrictJsonRoute
+from app.access.authentication import Administrator
+from app.access.caller import Caller
 from app.errors import ScopeRequiredError
-from app.keys.repository import Caller
+from app.http.dependencies import Config, Db
+from app.http.schemas import Page, PageQuery
+from app.http.strict_json import StrictJsonRoute
 from app.notifications import event_stream
 from app.notifications.hosts import AddressRefusedError, AllowedHosts, WebhookHostError, target_of
 from app.notifications.repository import WebhookRepository
 from app.notifications.schemas import DeliveryQuery, DeliveryRead, WebhookCreate, WebhookCreated, WebhookRead
 from app.outbox.log import place_new
-from app.resources import Config, Db
-from app.schemas import Page, PageQuery
 
 router = APIRouter(route_class=StrictJsonRoute, tags=["events"])
 

@@ -12,15 +12,15 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
-from app.auth import Reader, is_still_valid
-from app.body import StrictJsonRoute
-from app.database import Database
+from app.access.authentication import Reader, is_still_valid
+from app.access.caller import Caller
 from app.errors import ExpiredError
-from app.keys.repository import Caller
+from app.http.dependencies import Db
+from app.http.schemas import Filter, Slug
+from app.http.strict_json import StrictJsonRoute
 from app.outbox.events import Entry, EventType
 from app.outbox.log import entries_after, newest_position, oldest_position, place_new
-from app.resources import Db
-from app.schemas import Filter, Slug
+from app.storage.database import Database
 from magcal_core.errors import InputError
 
 router = APIRouter(route_class=StrictJsonRoute, tags=["events"])

@@ -12,12 +12,12 @@ import structlog
 from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
-from app.database import Database, new_id, utc_now
 from app.errors import UnavailableError
 from app.notifications.tables import Message
 from app.outbox.events import Entry, EventType
 from app.outbox.subscription import Subscriber
 from app.settings import Settings
+from app.storage.database import Database, new_id, utc_now
 
 FIRST_PAUSE_S: Final = 10.0
 LONGEST_PAUSE_S: Final = 900.0

@@ -12,15 +12,15 @@ from typing import Final
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
-from app.database import Database, utc_now
 from app.notifications.delivering import SPREADER, Due, due, forget_old, is_anybody_told, settle
 from app.notifications.hosts import AllowedHosts
 from app.notifications.messages import Messenger
 from app.notifications.sending import Outcome, attempt
 from app.outbox import log as outbox
-from app.retry import retried
 from app.settings import Settings
+from app.storage.database import Database, utc_now
 from app.storage.exclusive import Exclusive
+from app.storage.retry import retried
 
 LOOK_EVERY_S: Final = 0.5
 ASK_EVERY_S: Final = 2.0

@@ -9,14 +9,15 @@ from typing import Final
 from sqlalchemy import delete, select, update
 from sqlalchemy.orm import Session
 
-from app.database import new_id, utc_now
+from app.access.audit_trail import record_event
+from app.access.caller import Caller
 from app.errors import ConflictError, NotFoundError
-from app.keys.repository import Caller, record_event
+from app.http.paging import fetch_page
+from app.http.schemas import PageQuery
 from app.notifications.schemas import DeliveryQuery, WebhookCreate
 from app.notifications.tables import Delivery, Webhook
 from app.outbox.log import newest_position
-from app.paging import fetch_page
-from app.schemas import PageQuery
+from app.storage.database import new_id, utc_now
 
 SECRET_BYTES: Final = 32
 MOST_WEBHOOKS: Final = 100

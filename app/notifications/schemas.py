@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, StringConstraints
 
+from app.http.schemas import Body, Name, PageQuery, Record, UtcTime
 from app.outbox.events import EventType
-from app.schemas import Body, Name, PageQuery, Record, UtcTime
 
 DeliveryState = Literal["pending", "delivered", "parked"]
 

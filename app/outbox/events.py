@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 
-from app.schemas import utc_text
+from app.http.schemas import utc_text
 
 
 class EventType(StrEnum):

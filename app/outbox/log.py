@@ -16,10 +16,10 @@ from typing import Final
 from sqlalchemy import ColumnElement, and_, delete, func, insert, or_, select, text, true
 from sqlalchemy.orm import Session
 
-from app.database import Database, new_id, utc_now
-from app.keys.repository import Caller
+from app.access.caller import Caller
 from app.outbox.events import Entry, Event, EventType
 from app.outbox.tables import OutboxEntry
+from app.storage.database import Database, new_id, utc_now
 
 OUTBOX: Final = OutboxEntry.metadata.tables["outbox"]
 NEXT_POSITION: Final = select(func.coalesce(func.max(OUTBOX.c.position), 0) + 1).scalar_subquery()

@@ -19,10 +19,10 @@ from sqlalchemy import select
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
-from app.database import Database
 from app.outbox.events import Entry
 from app.outbox.log import entries_after, newest_position, place_new
 from app.outbox.tables import OutboxMark
+from app.storage.database import Database
 
 MOST_AT_ONCE: Final = 200
 

@@ -13,8 +13,8 @@ from typing import IO
 from sqlalchemy import Connection, text
 from sqlalchemy.exc import DBAPIError
 
-from app.database import Database
 from app.settings import Settings
+from app.storage.database import Database
 
 
 class Exclusive:

@@ -11,9 +11,9 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import pytest
 from standardwebhooks import Webhook as Verifier
 
-from app.database import Database
 from app.outbox.events import attention_changed
 from app.outbox.log import append
+from app.storage.database import Database
 
 
 class Receiver:

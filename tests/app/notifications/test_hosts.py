@@ -7,9 +7,9 @@ import socket
 
 import pytest
 
-from app.database import utc_now
 from app.notifications.hosts import AddressRefusedError, AllowedHosts, WebhookHostError, WebhookUrlError, target_of
 from app.notifications.sending import Parcel, attempt
+from app.storage.database import utc_now
 
 PRIVATE = [
     "127.0.0.1", "10.1.2.3", "192.168.0.1", "172.16.0.1", "169.254.169.254", "100.64.0.1", "224.0.0.1", "0.0.0.1",

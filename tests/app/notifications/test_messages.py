@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 
-from app.database import Database, new_id, utc_now
 from app.errors import UnavailableError
-from app.migrate import upgrade
 from app.notifications.messages import Messenger, is_quiet, letters
 from app.notifications.tables import Message
 from app.outbox.events import Event, attention_changed, job_ended
 from app.outbox.log import append
 from app.settings import Settings
+from app.storage.database import Database, new_id, utc_now
+from app.storage.migration import upgrade
 
 pytestmark = pytest.mark.filterwarnings("ignore:'imghdr' is deprecated:DeprecationWarning")
 """Apprise looks for it on Pythons that still have it."""

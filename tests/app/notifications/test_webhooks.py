@@ -17,10 +17,11 @@ from sqlalchemy import update
 from standardwebhooks import Webhook as Verifier
 from standardwebhooks import WebhookVerificationError
 
-from app.database import Database, utc_now
-from app.migrate import make_first_key, upgrade
+from app.access.first_key import make_first_key
 from app.notifications.tables import Delivery
 from app.settings import Settings
+from app.storage.database import Database, utc_now
+from app.storage.migration import upgrade
 
 ALL = [
     "session.received", "job.ended", "parameter_set.created", "parameter_set.activated",
@@ -44,7 +45,7 @@ def open_service(new_service):
 
 def test_what_happens_to_a_magnetometer_is_told_signed_and_in_order(new_service, receiver, until):
     """The whole way of a session over HTTP: received, calibrated, activated, taken back."""
-    from app.demo.mission import SESSIONS, simulated, tle_text
+    from magcal_core.simulation.dekart_mission import SESSIONS, simulated, tle_text
     from magcal_core.telemetry import write_samples
 
     service = new_service(webhook_hosts="127.0.0.1", workers=1)

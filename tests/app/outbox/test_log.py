@@ -10,14 +10,14 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select, update
 
-from app.database import Database, utc_now
-from app.keys.repository import SYSTEM, Caller
-from app.migrate import upgrade
+from app.access.caller import SYSTEM, Caller
 from app.outbox.events import Event, EventType, attention_changed
 from app.outbox.log import append, entries_after, forget_old, newest_position, oldest_position, place_new
 from app.outbox.subscription import Subscriber
 from app.outbox.tables import OutboxEntry, OutboxMark
 from app.settings import Settings
+from app.storage.database import Database, utc_now
+from app.storage.migration import upgrade
 
 
 @pytest.fixture(params=["sqlite", pytest.param("postgres", marks=pytest.mark.postgres)])
