@@ -118,12 +118,10 @@ def _matrix(found: Mapping[str, Floats], convention: str) -> Floats:
         if convention == "on-board":
             return found["rotation"].reshape(3, 3) * found["scale"]
         if convention == "lower-triangular":
-            lower: Floats = np.linalg.inv(found["matrix"].reshape(3, 3))
-            return lower
+            return np.asarray(np.linalg.inv(found["matrix"].reshape(3, 3)), dtype=np.float64)
         if convention == "symmetric":
-            inverse: Floats = np.linalg.inv(found["matrix"].reshape(3, 3))
-            symmetric: Floats = np.asarray(found["rotation"].reshape(3, 3) @ inverse, np.float64)
-            return symmetric
+            inverse = np.asarray(np.linalg.inv(found["matrix"].reshape(3, 3)), dtype=np.float64)
+            return found["rotation"].reshape(3, 3) @ inverse
         return found["correction_matrix"].reshape(3, 3)
     except (np.linalg.LinAlgError, OptionError):
         return np.full((3, 3), np.nan)
