@@ -16,6 +16,8 @@ from app.access import key_endpoints as keys
 from app.access.authentication import FailureLimiter, RecentKeys, SteadyClock
 from app.access.idempotency import Running
 from app.access.oidc import open_issuer
+from app.connectors.orbits.watch import stopped_sources
+from app.connectors.orbits.watcher import OrbitWatcher
 from app.dashboard import endpoints as displays
 from app.dashboard import pages
 from app.field import endpoints as field
@@ -31,6 +33,7 @@ from app.http.problem_handlers import install_handlers
 from app.http.receiving import Admission, sweep_incoming
 from app.jobs import endpoints as jobs
 from app.jobs.engines.open_engine import Engine, open_engine
+from app.monitoring import endpoints as monitoring
 from app.monitoring import rollouts, trends
 from app.notifications import endpoints as notifications
 from app.notifications.event_stream import NewestEntry
@@ -45,12 +48,15 @@ from app.sessions import endpoints as sessions
 from app.settings import Settings
 from app.storage.database import Database
 from app.storage.open_store import open_store
+from app.uploads import endpoints as uploads
 from app.uploads.batching import Keeper
 from app.uploads.ingest import Ingest
 
 API: Final = "/api/v1"
 ROOMS: Final = (
     sessions,
+    uploads,
+    monitoring,
     satellites,
     orbits,
     jobs,
@@ -103,6 +109,9 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
     app.state.newest_entry = NewestEntry(database)
     app.state.is_stopping = lambda: False
     app.state.notifier = Notifier(database, settings)
+    app.state.stopped_sources = lambda: stopped_sources(database)
+    source = settings.orbit_source
+    app.state.orbits = None if source is None else OrbitWatcher(database, settings, source)
     app.include_router(health.router)
     api = APIRouter(prefix=API)
     for room in ROOMS:
@@ -131,11 +140,15 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     if engine.workers is not None:
         engine.workers.start()
     app.state.notifier.start()
+    if app.state.orbits is not None:
+        app.state.orbits.start()
     try:
         yield
     finally:
         if engine.workers is not None:
             await run_in_threadpool(engine.workers.stop, STOP_GRACE_S)
         await run_in_threadpool(app.state.keeper.close)
+        if app.state.orbits is not None:
+            await run_in_threadpool(app.state.orbits.stop)
         await run_in_threadpool(app.state.notifier.stop)
         app.state.database.close()

@@ -67,6 +67,20 @@ class Settings(BaseSettings):
     notify_per_hour: PositiveInt = Field(12, description="Most messages of an hour; what is more comes as one digest.")
     public_url: str | None = Field(None, description="Address of the dashboard for links in messages; unset: no links.")
 
+    orbit_source: Literal["celestrak", "space-track", "satnogs", "url", "folder"] | None = Field(
+        None, description="Where `serve` keeps orbits fresh from; unset: nowhere."
+    )
+    orbit_every_h: float = Field(
+        8.0, ge=2.0, description="Ask for one satellite's orbit once in so long, h; 2 at least."
+    )
+    celestrak_url: str = Field("https://celestrak.org", description="Address of CelesTrak.")
+    space_track_url: str = Field("https://www.space-track.org", description="Address of Space-Track.")
+    space_track_user: str | None = Field(None, description="Login of Space-Track.")
+    space_track_password_file: Path | None = Field(None, description="File that holds its password.")
+    satnogs_url: str = Field("https://db.satnogs.org", description="Address of SatNOGS DB.")
+    orbit_url: str | None = Field(None, description="Address of an orbit message with {norad_id} in it.")
+    orbit_folder: Path | None = Field(None, description="Folder of orbit messages, named by satellite or NORAD id.")
+
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="Least level that is logged.")
     log_format: Literal["json", "console"] = Field("json", description="Form of the log on stderr.")
 

@@ -23,6 +23,8 @@ COMMANDS: Final[dict[str, str]] = {
     "simulate": "Simulate the telemetry of a tumbling satellite, with its truth beside it.",
     "push": "Send telemetry to a magcal service; safe to repeat.",
     "trend": "Parameters over many sets: where they are now, how long the active set stays good.",
+    "pull": "Pull telemetry from a Yamcs, SatNOGS or HAPI archive.",
+    "orbits": "Keep the satellites' orbits fresh from a catalogue.",
     "report": "The report of a parameter set as one HTML file, or PDF.",
     "convert": "Convert parameters between conventions, loss-free.",
     "rom": "Simulate attitude control by magnetometer, gyros and wheels.",

@@ -13,6 +13,7 @@ from sqlalchemy import JSON, MetaData, delete, insert, inspect, select, text
 import app.aboard.tables
 import app.access.idempotency
 import app.access.key_tables
+import app.connectors.tables
 import app.jobs.tables
 import app.notifications.tables
 import app.orbits.tables
