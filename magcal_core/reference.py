@@ -126,7 +126,7 @@ def _places(
     parts: list[Part] = []
     if samples.r_itrf_km is None:
         choice = choose_orbits(orbits, _deciding(t_true, orbits))
-        warnings = check_age(choice, orbits, max_age_days)
+        warnings = _checked_age(choice, orbits, samples.t_utc, max_age_days)
         alone = int(choice.index[0]) if len(samples) else NO_ORBIT
         if alone != NO_ORBIT and np.all(choice.index == alone):
             entries.append(_entry(alone, orbits[alone], choice.age_days, len(samples)))
@@ -141,7 +141,7 @@ def _places(
             parts.append(Part.of(None, np.flatnonzero(is_known)))
         rows = np.flatnonzero(~is_known)
         choice = choose_orbits(orbits, t_true[rows])
-        warnings = check_age(choice, orbits, max_age_days)
+        warnings = _checked_age(choice, orbits, samples.t_utc, max_age_days)
     for i, chosen in choice.by_orbit():
         part = Part.of(orbits[i], rows[chosen])
         r_itrf_km[part.rows] = positions_km(orbits[i], t_true[part.rows])

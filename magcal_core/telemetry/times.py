@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from datetime import UTC, date, datetime, timedelta, timezone
+from datetime import UTC, date, datetime, time, timedelta, timezone
 from typing import Final
 
 import numpy as np
@@ -13,6 +13,9 @@ from magcal_core.errors import InputError, OptionError, TimeError, TimeZoneMissi
 from magcal_core.telemetry.faults import FaultList
 
 Nanoseconds = NDArray[np.int64]
+
+Spans = tuple[tuple[np.datetime64, np.datetime64], ...]
+"""Stretches of time, UTC, in which the orbits at hand are good."""
 
 NO_TIME: Final = int(np.iinfo(np.int64).min)
 """Stands for a missing time; the bit pattern of NaT."""
@@ -25,19 +28,14 @@ TIME_SCALES: Final = ("utc", "gps")
 _GPS_EPOCH_NS: Final = int(np.datetime64("1980-01-06", "ns").astype(np.int64))
 _GPS_MINUS_TAI_S: Final = -19
 _NS: Final = 1_000_000_000
-_ISO: Final = re.compile(
-    r"(\d{4})-(\d\d)-(\d\d)[T ](\d\d):(\d\d)(?::(\d\d)(?:[.,](\d{1,18}))?)?\s*(Z|[+-]\d\d(?::?\d\d)?)?", re.ASCII | re.I
-)
+_CLOCK: Final = r"(?P<hour>\d\d)(?::?(?P<minute>\d\d)(?::?(?P<second>\d\d)(?:[.,](?P<fraction>\d{1,18}))?)?)"
+_ZONE: Final = r"\s*(?P<zone>Z|UTC|GMT|[+-]\d\d(?::?\d\d)?)?"
+_EXTENDED: Final = r"(?P<year>\d{4})-(?:(?P<month>\d\d)-(?P<day>\d\d)|(?P<ordinal>\d{3})|W(?P<week>\d\d)-(?P<weekday>[1-7]))"
+_BASIC: Final = r"(?P<year>\d{4})(?:(?P<month>\d\d)(?P<day>\d\d)|(?P<ordinal>\d{3})|W(?P<week>\d\d)(?P<weekday>[1-7]))"
+_ISO: Final = re.compile(_EXTENDED + "[T ]" + _CLOCK + _ZONE, re.ASCII | re.IGNORECASE)
+_ISO_BASIC: Final = re.compile(_BASIC + "T" + _CLOCK + _ZONE, re.ASCII | re.IGNORECASE)
+"""Calendar, ordinal and week dates of ISO 8601."""
 _NUMBER: Final = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-_OTHER_UNITS: Final[dict[str, tuple[float, float]]] = {
-    # name: (seconds in one, zero point in seconds since 1970)
-    "milliseconds since 1970": (1e-3, 0.0),
-    "microseconds since 1970": (1e-6, 0.0),
-    "nanoseconds since 1970": (1e-9, 0.0),
-    "Julian days": (86400.0, -2440587.5 * 86400.0),
-    "modified Julian days": (86400.0, -40587.0 * 86400.0),
-    "days since 1970": (86400.0, 0.0),
-}
 
 
 def is_number(text: str) -> bool:
@@ -45,8 +43,11 @@ def is_number(text: str) -> bool:
     return _NUMBER.fullmatch(text) is not None
 
 
-def parse_iso_ns(text: str) -> int:
+def parse_iso_ns(text: str, *, is_utc: bool = False) -> int:
     """Return the nanoseconds since 1970, UTC, of an ISO 8601 time with a zone; a leap second counts as the next second.
+
+    The date is of the calendar, of the year (``2022-050``) or of the week (``2022-W07-6``), with separators or
+    without. ``is_utc`` says that a time without a zone is UTC.
 
     Raises
     ------
@@ -55,16 +56,16 @@ def parse_iso_ns(text: str) -> int:
     TimeError
         The text is not an ISO 8601 time, or the date does not exist.
     """
-    match = _ISO.fullmatch(text.strip())
+    match = iso_match(text)
     if match is None:
         raise TimeError("not an ISO 8601 time with a zone, nor seconds since 1970-01-01")
-    year, month, day, hour, minute = (int(match[i]) for i in range(1, 6))
-    second, fraction, zone = int(match[6] or 0), match[7] or "", match[8]
-    if zone is None:
+    second, fraction, zone = int(match["second"] or 0), match["fraction"] or "", match["zone"]
+    if zone is None and not is_utc:
         raise TimeZoneMissingError("a time without a zone; append Z or an offset such as +02:00")
     is_leap = second == 60
     try:
-        whole = datetime(year, month, day, hour, minute, 59 if is_leap else second, tzinfo=_zone(zone)).astimezone(UTC)
+        clock = time(int(match["hour"]), int(match["minute"] or 0), 59 if is_leap else second, tzinfo=_zone(zone or "Z"))
+        whole = datetime.combine(_date(match), clock).astimezone(UTC)
     except (ValueError, OverflowError) as error:
         raise TimeError(f"no such time: {error}") from error
     if is_leap:
@@ -75,8 +76,26 @@ def parse_iso_ns(text: str) -> int:
     return seconds * _NS + int(fraction[:9].ljust(9, "0"))
 
 
+def iso_match(text: str) -> re.Match[str] | None:
+    """Return the parts of a text that has the form of an ISO 8601 time."""
+    plain = text.strip()
+    return _ISO.fullmatch(plain) or _ISO_BASIC.fullmatch(plain)
+
+
+def _date(match: re.Match[str]) -> date:
+    year = int(match["year"])
+    if match["ordinal"]:
+        found = date(year, 1, 1) + timedelta(days=int(match["ordinal"]) - 1)
+        if found.year != year:
+            raise ValueError("day of the year must be in 1..365, or 366")
+        return found
+    if match["week"]:
+        return date.fromisocalendar(year, int(match["week"]), int(match["weekday"]))
+    return date(year, int(match["month"]), int(match["day"]))
+
+
 def _zone(text: str) -> timezone:
-    if text in "Zz":
+    if text.upper() in ("Z", "UTC", "GMT"):
         return UTC
     minutes = int(text[1:3]) * 60 + int(text[3:].lstrip(":") or 0)
     if int(text[3:].lstrip(":") or 0) > 59:
@@ -88,7 +107,7 @@ def _may_be_leap_second(last: datetime) -> bool:
     return (last.hour, last.minute) == (23, 59) and (last.month, last.day) in {(6, 30), (12, 31)}
 
 
-def parse_time_ns(text: str, *, is_epoch: bool) -> int:
+def parse_time_ns(text: str, *, is_epoch: bool, spans: Spans = ()) -> int:
     """Return the nanoseconds of one time cell in a column of epoch seconds or of ISO 8601 times.
 
     Epoch seconds count from whatever epoch their scale has; `to_utc_ns` moves them.
@@ -98,18 +117,21 @@ def parse_time_ns(text: str, *, is_epoch: bool) -> int:
     TimeError
         The cell is neither, or is of the other kind than its column.
     """
-    if is_number(text) != is_epoch and (is_number(text) or _ISO.fullmatch(text)):
+    if is_number(text) != is_epoch and (is_number(text) or iso_match(text)):
         kinds = ("an ISO 8601 time", "epoch seconds") if is_epoch else ("epoch seconds", "ISO 8601 times")
         raise TimeError(f"{kinds[0]} in a column of {kinds[1]}")
     if not is_epoch:
         return parse_iso_ns(text)
     if not is_number(text):
         raise TimeError("not seconds since 1970-01-01")
-    return int(epoch_ns(np.array([float(text)]))[0])
+    return int(epoch_ns(np.array([float(text)]), spans)[0])
 
 
-def parse_times(cells: list[tuple[str, str | None]], faults: FaultList) -> Nanoseconds:
-    """Return the nanoseconds of ``cells``, pairs of place and text; empty cells have `NO_TIME`, faults are noted."""
+def parse_times(cells: list[tuple[str, str | None]], faults: FaultList, spans: Spans = ()) -> Nanoseconds:
+    """Return the nanoseconds of ``cells``, pairs of place and text; empty cells have `NO_TIME`, faults are noted.
+
+    ``spans`` is where the orbits are good: of a time that cannot be read the forms that put it there are named.
+    """
     first = next((text for _, text in cells if text), "")
     is_epoch = is_number(first)
     t_ns = np.full(len(cells), NO_TIME, np.int64)
@@ -117,27 +139,39 @@ def parse_times(cells: list[tuple[str, str | None]], faults: FaultList) -> Nanos
         if not text:
             continue
         try:
-            t_ns[i] = parse_time_ns(text, is_epoch=is_epoch)
+            t_ns[i] = parse_time_ns(text, is_epoch=is_epoch, spans=spans)
         except OverflowError:
             faults.add(TimeError, where, "outside the years 1972 to 2099", text)
         except InputError as error:
             faults.add(type(error), where, error.message, text)
+            if faults.count == 1:
+                faults.advise(_advice(error, text, spans))
     return t_ns
 
 
-def epoch_ns(seconds: NDArray[np.floating] | NDArray[np.integer]) -> Nanoseconds:
+def _advice(error: InputError, text: str, spans: Spans) -> str:
+    if isinstance(error, TimeZoneMissingError):
+        return "where such times are UTC: --time-format utc"
+    if iso_match(text) is not None or is_number(text):
+        return ""
+    from magcal_core.telemetry.time_guesses import on_text
+
+    return on_text(text, spans)
+
+
+def epoch_ns(seconds: NDArray[np.floating] | NDArray[np.integer], spans: Spans = ()) -> Nanoseconds:
     """Return ``seconds`` since an epoch in nanoseconds, floats rounded to the microsecond; not finite gives `NO_TIME`.
 
     Raises
     ------
     TimeError
-        The numbers are no seconds since 1970; the message has the unit that they seem to have.
+        The numbers are no seconds since 1970; the message has the forms that they may have.
     """
     values = np.asarray(seconds, np.float64)
     is_given = np.isfinite(values)
     given = values[is_given]
     if given.size:
-        _refuse_other_units(float(np.median(given)))
+        _refuse_other_forms(float(np.median(given)), spans)
     t_ns = np.full(values.shape, NO_TIME, np.int64)
     limited = np.clip(given, -9.2e9, 9.2e9)
     whole = np.floor(limited)
@@ -146,14 +180,15 @@ def epoch_ns(seconds: NDArray[np.floating] | NDArray[np.integer]) -> Nanoseconds
     return t_ns
 
 
-def _refuse_other_units(typical: float) -> None:
+def _refuse_other_forms(typical: float, spans: Spans) -> None:
     if 0 <= typical * _NS < LATEST_NS and typical > 1e7:
         return
-    for name, (scale_s, zero_s) in _OTHER_UNITS.items():
-        if EARLIEST_NS <= (typical * scale_s + zero_s) * _NS < LATEST_NS:
-            raise TimeError(f"the times look like {name} (a typical one is {typical:.15g}); send seconds or ISO 8601")
+    from magcal_core.telemetry.time_guesses import on_number
+
+    guess = on_number(typical, spans)
     raise TimeError(
         f"the times are no seconds since 1970-01-01 between 1972 and 2099 (a typical one is {typical:.15g})"
+        + (f": {guess}" if guess else "")
     )
 
 
