@@ -24,8 +24,12 @@ log = structlog.get_logger()
 MOST_OF_A_NAME: Final = 100
 MOST_OF_A_PLACE: Final = 400
 """Characters of a member's name, and of the way to it, that an answer repeats."""
-QUOTED: Final = re.compile(r"""(?<!did you mean )(?<!mapped to )(?:'(?:[^'\\]|\\.){3,}'|"(?:[^"\\]|\\.){3,}")""")
-"""A value as the core's messages quote it; names of columns that it proposes stay."""
+QUOTED: Final = re.compile(
+    r"""(?P<proposed>did\ you\ mean\ '[^']*'|mapped\ to\ '[^']*'|column\ map\ \{[^{}]*\}|--time-format\ "[^"]{1,100}")
+    |'(?:[^'\\]|\\.){3,}'|"(?:[^"\\]|\\.){3,}\"""",
+    re.VERBOSE,
+)
+"""A value as the core's messages quote it; names of columns, and forms of times, that it proposes stay."""
 
 
 class FaultBody(TypedDict):
@@ -270,10 +274,14 @@ def _magcal_error(_request: Request, error: Exception) -> JSONResponse:
 def _without_values(body: Problem) -> Problem:
     """Return ``body`` with the values that the core quotes left out: an answer does not repeat what was sent."""
     bare = Problem(**body)
-    bare["detail"] = QUOTED.sub("'...'", body["detail"])
+    bare["detail"] = QUOTED.sub(_without_value, body["detail"])
     if "errors" in body:
-        bare["errors"] = [{**fault, "why": QUOTED.sub("'...'", fault["why"])} for fault in body["errors"]]
+        bare["errors"] = [{**fault, "why": QUOTED.sub(_without_value, fault["why"])} for fault in body["errors"]]
     return bare
+
+
+def _without_value(match: re.Match[str]) -> str:
+    return match["proposed"] or "'...'"
 
 
 def _validation_error(_request: Request, error: Exception) -> JSONResponse:

@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 
 from magcal_core.attitude.rotation import rotate_rows
 from magcal_core.calibration.corrections import lengths
-from magcal_core.errors import OrbitMissingError
+from magcal_core.errors import OrbitMissingError, TleEpochError
 from magcal_core.field import FieldModel
 from magcal_core.field_along import Part, field_of_parts, positions_km
 from magcal_core.orbit import Orbit
-from magcal_core.orbit.choose import MAX_AGE_DAYS, NO_ORBIT, BoundedOrbit, check_age, choose_orbits
+from magcal_core.orbit.choose import MAX_AGE_DAYS, NO_ORBIT, BoundedOrbit, Choice, check_age, choose_orbits
 from magcal_core.orbit.timescales import nanoseconds
 from magcal_core.samples import Floats, SampleFlag, Samples, Times
+from magcal_core.telemetry.time_guesses import on_distance, spans_of
+from magcal_core.telemetry.times import Spans
 
 Mask = NDArray[np.bool_]
 
@@ -150,6 +152,19 @@ def _places(
     return r_itrf_km, parts, warnings, entries
 
 
+def _checked_age(choice: Choice, orbits: Sequence[Orbit], t_utc: Times, max_age_days: float) -> list[str]:
+    """Return the warnings about old orbits; where one is refused, the form of time that would put the data near it."""
+    try:
+        return check_age(choice, orbits, max_age_days)
+    except TleEpochError as error:
+        raise TleEpochError(error.message + on_distance(t_utc[0], orbit_spans(orbits))) from error
+
+
+def orbit_spans(orbits: Sequence[Orbit]) -> Spans:
+    """Return where orbits are good: at their epochs, and where an ephemeris has positions."""
+    return spans_of([(orbit.epoch_utc, getattr(orbit, "until_utc", None)) for orbit in orbits])
+
+
 def _deciding(t_utc: Times, orbits: Sequence[Orbit]) -> Times:
     """Return the times that decide between the orbits and on their age: of one that reaches everywhere, the ends."""
     stamps_ns = nanoseconds(t_utc)
@@ -170,7 +185,8 @@ def _entry(index: int, orbit: Orbit, age_days: Floats, samples: int) -> Mapping[
 
 def _not_covered(orbits: Sequence[Orbit], t_utc: Times) -> str:
     first, last = (np.datetime_as_string(t, unit="s") for t in (t_utc.min(), t_utc.max()))
-    return f"none of the {len(orbits)} ephemerides covers the telemetry, {first}Z to {last}Z"
+    other_form = on_distance(t_utc.min(), orbit_spans(orbits))
+    return f"none of the {len(orbits)} ephemerides covers the telemetry, {first}Z to {last}Z{other_form}"
 
 
 def _with_field(samples: Samples, t_utc: Times, r_itrf_km: Floats, parts: Sequence[Part], field: FieldModel) -> Samples:

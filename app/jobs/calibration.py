@@ -24,12 +24,13 @@ from app.orbits.tables import OrbitRow
 from app.parameter_sets.repository import ParameterSetRepository
 from app.parameter_sets.tables import ParameterSet
 from app.satellites.repository import SatelliteRepository
-from app.schemas import parse_utc
+from app.schemas import core_times, parse_utc
 from app.sessions.repository import SessionRepository, identity
-from app.sessions.tables import TelemetrySession
+from app.sessions.tables import Chunk, TelemetrySession
 from app.store import Store
 from magcal_core.errors import OptionError, OrbitMissingError, TleEpochError
 from magcal_core.options import CalibrationOptions
+from magcal_core.telemetry.time_guesses import on_distance, spans_of
 
 POSITIONED: Final = frozenset({"ref_b", "ref_bx", "ref_eci_x", "x_km"})
 """Columns that make an orbit unnecessary."""
@@ -86,7 +87,11 @@ class CalibrationKind:
             best = chosen(orbits.around(row.data_from, row.data_until, 0.0), row.data_from)
             if best is None:
                 raise OrbitMissingError("the telemetry has no reference and no position, and the satellite no orbit")
-            _check_age(best, row.data_from, row.data_until, limit_days)
+            try:
+                _check_age(best, row.data_from, row.data_until, limit_days)
+            except TleEpochError as error:
+                other_form = on_distance(core_times([row.data_from])[0], spans_of(orbits.instants()))
+                raise TleEpochError(error.message + other_form) from error
 
     def load(self, session: Session, store: Store, claim: Claim) -> CalibrationWork:
         """Return the chunks, the orbits near them and the options of the claimed job."""
@@ -102,7 +107,7 @@ class CalibrationKind:
             columns=columns,
             orbits=[(row.id, row.content) for row in near],
             options=claim.request,
-            inputs=[{"session_id": row.id, "sha256": identity(sessions.chunks(row.id))} for row in rows],
+            inputs=[_input(row.id, sessions.chunks(row.id)) for row in rows],
             active=_in_force(session, claim, begin),
         )
 
@@ -127,6 +132,12 @@ class CalibrationKind:
         sets = ParameterSetRepository(session, SYSTEM)
         sets.add(row, list(session.scalars(links)), found.blobs, store)
         return {"parameter_set_id": row.id}
+
+
+def _input(session_id: str, chunks: Sequence[Chunk]) -> dict[str, object]:
+    """Return what a parameter set says of a session that it was found from: its bytes, and how they were read."""
+    known: dict[str, object] = {"session_id": session_id, "sha256": identity(chunks)}
+    return known if chunks[0].reading is None else known | {"reading": chunks[0].reading}
 
 
 def _in_force(session: Session, claim: Claim, begin: datetime) -> dict[str, object] | None:

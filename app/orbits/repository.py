@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from typing import Final
 
+import numpy as np
 from sqlalchemy import select
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
@@ -23,6 +24,10 @@ from app.store import digest
 MOST_CANDIDATES: Final = 400
 ROWS_AT_ONCE: Final = 500
 """Orbits that one statement asks for."""
+
+
+def _core_time(instant: datetime) -> np.datetime64:
+    return np.datetime64(instant.astimezone(UTC).replace(tzinfo=None), "ns")
 
 
 class OrbitRepository:
@@ -86,6 +91,12 @@ class OrbitRepository:
         if query.format is not None:
             statement = statement.where(OrbitRow.format == query.format)
         return fetch_page(self.session, statement, (OrbitRow.epoch, OrbitRow.id), query)
+
+    def instants(self) -> list[tuple[np.datetime64, np.datetime64 | None]]:
+        """Return epoch, and end of an ephemeris, of the satellite's orbits, the newest first."""
+        statement = select(OrbitRow.epoch, OrbitRow.until).where(OrbitRow.satellite_id == self.satellite_id)
+        rows = self.session.execute(statement.order_by(OrbitRow.epoch.desc()).limit(MOST_CANDIDATES))
+        return [(_core_time(epoch), None if until is None else _core_time(until)) for epoch, until in rows]
 
     def around(self, begin: datetime, end: datetime, margin_days: float) -> list[OrbitRow]:
         """Return the orbits that may serve data from ``begin`` to ``end``, and the nearest on each side in any case."""

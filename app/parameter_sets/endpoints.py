@@ -29,7 +29,7 @@ from app.resources import Blobs, Config, Db
 from app.satellites.tables import Magnetometer
 from app.schemas import Page
 from app.sessions.endpoints import TABLES, TELEMETRY_BODY
-from app.sessions.reading import PLAIN, SensorReading
+from app.sessions.reading import PLAIN, SensorReading, in_axes_of
 from app.sessions.upload import Upload, receive
 from app.settings import Settings
 from app.store import residuals_key
@@ -144,7 +144,7 @@ def _row_and_sensor(parameter_set_id: str, caller: Caller, db: Db) -> tuple[Para
     with db.read() as session:
         row = ParameterSetRepository(session, caller).get(parameter_set_id)
         sensor = session.get_one(Magnetometer, (row.satellite_id, row.magnetometer_id))
-        return row, SensorReading.of(sensor)
+        return row, in_axes_of(row.record, SensorReading.of(sensor))
 
 
 def _applied(row: ParameterSet, sensor: SensorReading, upload: Upload, settings: Settings, *, inverse: bool) -> Samples:

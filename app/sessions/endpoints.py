@@ -8,7 +8,7 @@ import numpy as np
 from fastapi import APIRouter, Depends, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from app.auth import Reader, Station
+from app.auth import Operator, Reader, Station
 from app.body import StrictJsonRoute
 from app.idempotency import KeyHeader
 from app.keys.repository import Caller
@@ -18,7 +18,15 @@ from app.schemas import Page, Slug, core_times
 from app.sessions import judging
 from app.sessions.ingest import Asked, Ingest
 from app.sessions.repository import SessionRepository, samples_of
-from app.sessions.schemas import ChunkRead, SampleQuery, SessionDetail, SessionQuery, SessionRead, UploadQuery
+from app.sessions.schemas import (
+    ChunkQuery,
+    ChunkRead,
+    SampleQuery,
+    SessionDetail,
+    SessionQuery,
+    SessionRead,
+    UploadQuery,
+)
 from app.sessions.tables import TelemetrySession
 from app.sessions.upload import check_declared, is_short, receive
 from app.tabular import table_response, wanted_format
@@ -111,14 +119,26 @@ async def upload_session(
 
 @router.post("/sessions/{session_id}/samples", openapi_extra=TELEMETRY_BODY)
 async def append_samples(
-    session_id: str, request: Request, caller: Station, config: Config, ingest: Ingests, db: Db
+    session_id: str,
+    query: Annotated[ChunkQuery, Query()],
+    request: Request,
+    caller: Station,
+    config: Config,
+    ingest: Ingests,
+    db: Db,
 ) -> SessionRead:
     """Append a chunk to an open session; the same bytes again change nothing."""
     await run_in_threadpool(_get_row, session_id, caller, db)
     await run_in_threadpool(_check_day, request, caller, db, config)
     async with request.app.state.uploads.place(caller):
         upload = await receive(request, config)
-        return _read(await run_in_threadpool(ingest.append, caller, session_id, upload))
+        return _read(await run_in_threadpool(ingest.append, caller, session_id, upload, query.epoch_text))
+
+
+@router.post("/sessions/{session_id}/read-again")
+def read_again(session_id: str, caller: Operator, ingest: Ingests) -> SessionRead:
+    """Read the bytes of a session again, as its magnetometer is read now."""
+    return _read(ingest.read_again(caller, session_id))
 
 
 @router.post("/sessions/{session_id}/close")

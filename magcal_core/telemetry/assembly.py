@@ -151,7 +151,7 @@ def _stacked(table: RawTable, names: tuple[str, ...], order: NDArray[np.intp] | 
 def _leave_out(
     reading: Floats, is_valid: NDArray[np.bool_] | None, order: NDArray[np.intp] | None, fill_values: tuple[float, ...]
 ) -> bool:
-    """Empty the readings that the table says are not valid, and those with a fill value; return whether there are any."""
+    """Empty the readings that the table says are not valid or that have a fill value; return whether any are."""
     left_out = np.zeros(len(reading), bool)
     if is_valid is not None:
         left_out |= ~(is_valid if order is None else is_valid[order])

@@ -1,4 +1,4 @@
-"""Which column of a table is meant where one of magcal's names is missing: ``BX``, ``mag_x [nT]``, ``Magnetometer X``."""
+"""Which column is meant where one of magcal's names is missing: ``BX``, ``mag_x [nT]``, ``Magnetometer X``."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def suggested(name: str, own: str, columns: Sequence[str], taken: Collection[str
 
 
 def date_beside(time: str, columns: Sequence[str]) -> dict[str, str]:
-    """Return what the column map calls the date, where a table with a column ``time`` has one for the date beside it."""
+    """Return how the column map names the date, where a table has a column for it beside its column ``time``."""
     dates = [column for column in columns if column != time and _key(column) in _DATES]
     return {"date": dates[0]} if dates else {}
 

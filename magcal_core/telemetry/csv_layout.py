@@ -93,7 +93,9 @@ def find_layout(text: bytes) -> Layout:
     header = split_line(line.text, separator)
     if at + 1 < len(plain) and _is_units(split_line(plain[at + 1].text, separator), len(header)):
         at += 1
-    return Layout(header, line.text, separator, plain[at].end, plain[at].number + 1, decimal if separator != "," else ".")
+    return Layout(
+        header, line.text, separator, plain[at].end, plain[at].number + 1, decimal if separator != "," else "."
+    )
 
 
 def _first_lines(text: bytes) -> list[_Line]:
@@ -164,7 +166,9 @@ def _below_comment(above: Sequence[_Line], first: _Line, separator: str, decimal
             names = _cells(text, one)
             if len(names) == width and not _is_data(names):
                 # The first row was found as a line: rows begin where the last comment above it ends.
-                return Layout(names, text, separator, above[-1].end, above[-1].number + 1, decimal if separator != "," else ".")
+                return Layout(
+                    names, text, separator, above[-1].end, above[-1].number + 1, decimal if separator != "," else "."
+                )
     raise _no_header(first)
 
 

@@ -14,7 +14,16 @@ import pyarrow.csv as pacsv
 
 from magcal_core.errors import InputError, TelemetryFormatError, TelemetryValueError
 from magcal_core.telemetry import yamcs
-from magcal_core.telemetry.columns import PLAIN, STANDARD, TIME, ColumnMap, ColumnPlan, TableForm, normal_header, plan_columns
+from magcal_core.telemetry.columns import (
+    PLAIN,
+    STANDARD,
+    TIME,
+    ColumnMap,
+    ColumnPlan,
+    TableForm,
+    normal_header,
+    plan_columns,
+)
 from magcal_core.telemetry.csv_layout import Layout, find_layout
 from magcal_core.telemetry.declared_times import declared_times
 from magcal_core.telemetry.export import is_text, iso_texts
@@ -48,7 +57,8 @@ def read_csv(
     if not text[layout.start : layout.start + 4096].strip() and not text[layout.start :].strip():
         raise TelemetryFormatError("the CSV table has a header and no rows")
     if (long := long_columns(header, columns)) is not None:
-        return _read_long(text, layout, header, long, columns, form)
+        table, bad_rows = _long_rows(text, layout, header, long)
+        return replace(long_to_raw(table, long, columns, form, name=f"long {TABLE}"), bad_rows=bad_rows)
     is_yamcs = yamcs.is_export(header)
     named = yamcs.column_map(header, columns) if is_yamcs else _timed(layout, columns, form)
     raw = _read_wide(text, layout, header, plan_columns(header, named, table=TABLE, form=form))
@@ -91,10 +101,8 @@ def _without_fill(column: Floats, fill: float | None) -> Floats:
     return column if fill is None else np.where(column == fill, np.nan, column)
 
 
-def _read_long(
-    text: bytes, layout: Layout, header: list[str], long: LongColumns, columns: ColumnMap | None, form: TableForm
-) -> RawTable:
-    """Return a long table, spread out to a column a parameter."""
+def _long_rows(text: bytes, layout: Layout, header: list[str], long: LongColumns) -> tuple[pa.Table, int]:
+    """Return the three columns of a long table as text, and how many rows are none."""
     types = dict.fromkeys((long.time, long.parameter, long.value), pa.string())
     body, bad_rows = text[layout.start :], 0
     table = _arrow_rows(memoryview(body), header, layout, types)
@@ -106,7 +114,7 @@ def _read_long(
         _rows(text[layout.start :].decode("utf-8"), header, layout, faults)
         faults.raise_if_any()
         raise TelemetryFormatError(f"the long {TABLE} has rows that cannot be parted into cells")
-    return replace(long_to_raw(table, long, columns, form, name=f"long {TABLE}"), bad_rows=bad_rows)
+    return table, bad_rows
 
 
 def _read_fast(body: memoryview, header: list[str], layout: Layout, plan: ColumnPlan) -> pa.Table | None:
@@ -204,7 +212,9 @@ def _read_slowly(body: bytes, header: list[str], layout: Layout, plan: ColumnPla
         numbers[name] = _without_fill(column, layout.fills.get(own))
     faults.raise_if_any()
     kept, ignored = _housekeeping(rows, plan.housekeeping, place, layout)
-    good = None if plan.validity is None else plan.validity.is_good([row[place[plan.validity.column]] for _, row in rows])
+    good = (
+        None if plan.validity is None else plan.validity.is_good([row[place[plan.validity.column]] for _, row in rows])
+    )
     return RawTable(t_ns, is_epoch, numbers | kept, ignored, scale, good, bad_rows)
 
 
@@ -222,7 +232,9 @@ def _rows(text: str, header: list[str], layout: Layout, faults: FaultList) -> tu
 
     A header that stands there once more, and a last line that ends early, are bad rows rather than faults.
     """
-    lines = [(i, line) for i, line in enumerate(io.StringIO(text, newline=None), layout.first_line) if line.strip("\r\n")]
+    lines = [
+        (i, line) for i, line in enumerate(io.StringIO(text, newline=None), layout.first_line) if line.strip("\r\n")
+    ]
     rows: list[tuple[int, list[str]]] = []
     bad_rows, names = 0, layout.header_line.strip().encode()
     for line_number, line in lines:

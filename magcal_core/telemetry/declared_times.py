@@ -178,7 +178,7 @@ def _clock_ns(hour: str, minute: str, second: str, fraction: str) -> int:
 
 
 def _fraction_ns(digits: str, unit_ns: int) -> int:
-    return round(int(digits or "0") * unit_ns / 10 ** len(digits or "0"))
+    return int(int(digits) * unit_ns / 10 ** len(digits) + 0.5) if digits else 0
 
 
 def _counted(column: pa.ChunkedArray, count: Count, where: Where, faults: FaultList) -> Nanoseconds:
@@ -244,28 +244,27 @@ def _decimals(
     is_given = whole != NO_TIME
     whole = np.where(is_given, np.where(is_minus, -whole, whole), 0)
     part = np.where(is_minus, -part, part)
-    _read_others(column, whole, part, is_given, why, where, faults)
+    others = {} if is_given.all() else _others(column, np.flatnonzero(~is_given), why, where, faults)
+    for i, value in others.items():
+        whole[i], part[i], is_given[i] = int(value // 1), value % 1, True
     return whole, part, is_given
 
 
-def _read_others(
-    column: pa.ChunkedArray,
-    whole: NDArray[np.int64],
-    part: Floats,
-    is_given: NDArray[np.bool_],
-    why: str,
-    where: Where,
-    faults: FaultList,
-) -> None:
-    """Fill in the cells that are no plain decimals: powers of ten are numbers, empty cells stay, the rest is faulty."""
-    if is_given.all():
-        return
-    for i in np.flatnonzero(~is_given):
-        text = column[int(i)].as_py()
+def _others(
+    column: pa.ChunkedArray, rows: NDArray[np.intp], why: str, where: Where, faults: FaultList
+) -> dict[int, float]:
+    """Return the numbers that are no plain decimals, such as powers of ten; empty cells stay, the rest is faulty."""
+    found: dict[int, float] = {}
+    for i in rows.tolist():
+        text = column[i].as_py()
         if text is None or not text.strip():
             continue
         try:
             value = float(text)
-            whole[i], part[i], is_given[i] = int(value // 1), value % 1, True
-        except (ValueError, OverflowError):
-            faults.add(TimeError, where(int(i)), why, text)
+        except ValueError:
+            value = np.nan
+        if abs(value) < _LARGEST_COUNT:
+            found[i] = value
+        else:
+            faults.add(TimeError, where(i), why, text)
+    return found

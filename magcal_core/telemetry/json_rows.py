@@ -10,7 +10,15 @@ from typing import Final
 
 import pyarrow as pa
 
-from magcal_core.telemetry.columns import MAX_COLUMNS, STANDARD, ColumnMap, TableForm, checked_map, own_names, plan_columns
+from magcal_core.telemetry.columns import (
+    MAX_COLUMNS,
+    STANDARD,
+    ColumnMap,
+    TableForm,
+    checked_map,
+    own_names,
+    plan_columns,
+)
 from magcal_core.telemetry.json_cells import to_raw_table
 from magcal_core.telemetry.long_table import long_columns, long_to_raw
 from magcal_core.telemetry.table import RawTable

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -79,10 +80,8 @@ def long_to_raw(
     plan = plan_columns(wide.column_names, column_map(wide.column_names, long, columns), table=name, form=form)
     times = wide.column(long.time)
     if not plan.times.is_declared and is_text(times.type):
-        try:
+        with contextlib.suppress(pa.ArrowInvalid):
             wide = wide.set_column(0, long.time, times.cast(pa.float64()))
-        except pa.ArrowInvalid:
-            pass
     return yamcs.at_readings(from_arrow(wide, plan, name=name))
 
 

@@ -154,7 +154,9 @@ def _named(name: str | None) -> str:
         return ""
     if plain not in WORDS:
         known = ", ".join(WORDS)
-        raise OptionError(f"unknown time format {text[:40]!r}; known are {known}, or a pattern such as %d.%m.%Y %H:%M:%S")
+        raise OptionError(
+            f"unknown time format {text[:40]!r}; known are {known}, or a pattern such as %d.%m.%Y %H:%M:%S"
+        )
     return plain
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from datetime import UTC as UTC_ZONE
 from datetime import datetime
@@ -35,10 +36,8 @@ def names_of_number(value: float, spans: Spans) -> list[str]:
         if name not in ("unix-s", "j2000-tt")
     }
     if 1e4 <= value < 1e7:
-        try:
+        with contextlib.suppress(InputError):
             instants[DAY_OF_YEAR] = float(day_of_year_ns(repr(value).removesuffix(".0"), None))
-        except InputError:
-            pass
     plausible = {name: t_ns for name, t_ns in instants.items() if EARLIEST_NS <= t_ns < LATEST_NS}
     if spans:
         return [name for name, t_ns in plausible.items() if _is_near(t_ns, spans)]
@@ -76,12 +75,9 @@ def on_text(text: str, spans: Spans) -> str:
     plain = text.strip()
     if any(_parsed(plain, clock) is not None for clock in _CLOCKS):
         return 'a time of day alone: name the column of the date too, with the column map {"date": .., "time": ..}'
-    try:
-        t_ns = day_of_year_ns(plain, None)
-        if not spans or _is_near(t_ns, spans):
+    with contextlib.suppress(InputError):
+        if not spans or _is_near(day_of_year_ns(plain, None), spans):
             return _asked([DAY_OF_YEAR])
-    except InputError:
-        pass
     found = {pattern: t_ns for pattern in PATTERNS if (t_ns := _parsed(plain, pattern)) is not None}
     near = [pattern for pattern, t_ns in found.items() if not spans or _is_near(t_ns, spans)]
     return f"declare the form: {' or '.join(_option(pattern) for pattern in near)}" if near else ""

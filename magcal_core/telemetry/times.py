@@ -30,7 +30,9 @@ _GPS_MINUS_TAI_S: Final = -19
 _NS: Final = 1_000_000_000
 _CLOCK: Final = r"(?P<hour>\d\d)(?::?(?P<minute>\d\d)(?::?(?P<second>\d\d)(?:[.,](?P<fraction>\d{1,18}))?)?)"
 _ZONE: Final = r"\s*(?P<zone>Z|UTC|GMT|[+-]\d\d(?::?\d\d)?)?"
-_EXTENDED: Final = r"(?P<year>\d{4})-(?:(?P<month>\d\d)-(?P<day>\d\d)|(?P<ordinal>\d{3})|W(?P<week>\d\d)-(?P<weekday>[1-7]))"
+_EXTENDED: Final = (
+    r"(?P<year>\d{4})-(?:(?P<month>\d\d)-(?P<day>\d\d)|(?P<ordinal>\d{3})|W(?P<week>\d\d)-(?P<weekday>[1-7]))"
+)
 _BASIC: Final = r"(?P<year>\d{4})(?:(?P<month>\d\d)(?P<day>\d\d)|(?P<ordinal>\d{3})|W(?P<week>\d\d)(?P<weekday>[1-7]))"
 _ISO: Final = re.compile(_EXTENDED + "[T ]" + _CLOCK + _ZONE, re.ASCII | re.IGNORECASE)
 _ISO_BASIC: Final = re.compile(_BASIC + "T" + _CLOCK + _ZONE, re.ASCII | re.IGNORECASE)
@@ -64,7 +66,9 @@ def parse_iso_ns(text: str, *, is_utc: bool = False) -> int:
         raise TimeZoneMissingError("a time without a zone; append Z or an offset such as +02:00")
     is_leap = second == 60
     try:
-        clock = time(int(match["hour"]), int(match["minute"] or 0), 59 if is_leap else second, tzinfo=_zone(zone or "Z"))
+        clock = time(
+            int(match["hour"]), int(match["minute"] or 0), 59 if is_leap else second, tzinfo=_zone(zone or "Z")
+        )
         whole = datetime.combine(_date(match), clock).astimezone(UTC)
     except (ValueError, OverflowError) as error:
         raise TimeError(f"no such time: {error}") from error

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from magcal_core.errors import OptionError
 
-_NOT_GOOD: Final = frozenset({"", "0", "false", "f", "no", "n", "off", "invalid", "bad", "error", "fail", "failed", "nan"})
+_NOT_GOOD: Final = frozenset(
+    {"", "0", "false", "f", "no", "n", "off", "invalid", "bad", "error", "fail", "failed", "nan"}
+)
 """What says, where no values are given, that a reading is not good; everything else says that it is."""
 
 
