@@ -13,7 +13,7 @@ from typing import Final
 from sqlalchemy.orm import Session
 
 from app.database import Database
-from app.errors import ExpiredError
+from app.errors import ConflictError, ExpiredError
 from app.idempotency import fingerprint, recall, remember
 from app.jobs.port import Queue
 from app.jobs.repository import JobRepository
@@ -104,12 +104,26 @@ class Ingest:
             sha256 = None if asked.query.open or asked.key is not None else asked.upload.sha256
             magnetometer, known = sessions.place_of(asked.satellite_id, asked.query.magnetometer, sha256)
             found = sessions.get(known) if known is not None else self._find(session, asked) if asked.key else None
+        if found is not None:
+            self._check_epoch(found, asked)
         if found is not None and asked.key is None:
             return Kept(found, is_new=False)
         parsed = None
         if found is None:
             parsed = self._parsed(magnetometer, asked.upload, asked.query.epoch_text, may_be_empty=asked.query.open)
         return Prepared(asked, magnetometer, parsed)
+
+    def _check_epoch(self, found: TelemetrySession, asked: Asked) -> None:
+        """Raise ConflictError where the bytes of an upload are there already, read from another instant of boot."""
+        if asked.query.epoch_text is None:
+            return
+        with self._database.read() as session:
+            readings = [chunk.reading for chunk in SessionRepository(session, asked.caller).chunks(found.id)]
+        epochs = {str(reading.get("time_epoch")) for reading in readings if reading is not None}
+        if epochs - {asked.query.epoch_text}:
+            raise ConflictError(
+                "the same bytes are a session already, with another instant that their times count from"
+            )
 
     def write(self, session: Session, uploads: Sequence[Prepared]) -> list[Kept]:
         """Return what ``uploads`` are kept as once the transaction of ``session`` is durable."""

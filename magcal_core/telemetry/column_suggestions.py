@@ -15,7 +15,7 @@ _SAID_BESIDE: Final = frozenset(
 )
 """Words of a column's name that say its unit or that it is a reading."""
 _AXES: Final = ("xyz", "012", "123")
-_MAGNETIC: Final = ("mag", "mgm", "mtm", "field", "fgm", "fluxgate", "bvec", "bbody", "bsensor", "tam")
+_MAGNETIC: Final = ("mag", "mgm", "mtm", "field", "fgm", "fluxgate", "vfm", "bnec", "bvec", "bbody", "bsensor", "tam")
 _OTHERS: Final = (
     "ref", "eci", "model", "igrf", "torq", "mtq", "mtr", "coil", "dipole", "gyro", "rate", "acc", "sun", "pos", "vel",
     "wheel", "quat", "status", "flag", "temp", "cmd", "moment", "current",

@@ -193,8 +193,9 @@ def _check_missing(
             missing.append(own)
             faults.add(TelemetryFormatError, f"column {name}{alias}", f"missing{_hint(close, header)}")
     if missing and header:
-        told = f"the column map {json.dumps(near, ensure_ascii=False)}" if near else "the column map"
-        faults.advise(f"name the table's own columns with {told} (--columns, or the magnetometer's columns)")
+        is_plain = all(own.isprintable() for own in near.values())
+        told = f"the column map {json.dumps(near, ensure_ascii=not is_plain)}" if near else "the column map"
+        faults.advise(f"name the columns of the table with {told} (--columns, or the columns of the magnetometer)")
 
 
 def _hint(close: str | None, header: Sequence[str]) -> str:

@@ -70,7 +70,13 @@ def find_layout(text: bytes) -> Layout:
     TelemetryFormatError
         The table is empty, or has no header at all.
     """
-    lines = _first_lines(text)
+    few = _first_lines(text, 3)
+    if few and not few[0].text.startswith("#") and _DECLARED.fullmatch(few[0].text.strip()) is None:
+        # Nearly all tables begin with their header and a row of as many cells: no more of them is looked at.
+        separator = _separator(few[0].text, [line.text for line in few[1:2]])
+        if _header_among(few[:2], separator) == 0:
+            return _at_header(few, 0, separator, text)
+    lines = _first_lines(text, MOST_LINES_ABOVE)
     comments = [line for line in lines if line.text.startswith("#")]
     plain = [line for line in lines if not line.text.startswith("#")]
     declared = None
@@ -80,29 +86,30 @@ def find_layout(text: bytes) -> Layout:
     if not plain:
         raise TelemetryFormatError("the CSV table is empty: no header row")
     above = [line for line in comments if line.number < plain[0].number]
-    decimal = _decimal(text)
     if (hapi := _hapi(above)) is not None:
         names, time, fills = hapi
         return Layout(names, "", ",", above[-1].end, above[-1].number + 1, ".", time, fills)
     separator = declared or _separator(plain[0].text, [line.text for line in plain[1:2]])
     if _is_data(split_line(plain[0].text, separator)):
-        return _below_comment(above, plain[0], separator, decimal)
-    at = _header_among(plain, declared)
+        return _below_comment(above, plain[0], separator, text)
+    at = _header_among(plain, declared) or 0
+    separator = declared or _separator(plain[at].text, [one.text for one in plain[at + 1 : at + 2]])
+    return _at_header(plain, at, separator, text)
+
+
+def _at_header(plain: Sequence[_Line], at: int, separator: str, text: bytes) -> Layout:
     line = plain[at]
-    separator = declared or _separator(line.text, [one.text for one in plain[at + 1 : at + 2]])
     header = split_line(line.text, separator)
     if at + 1 < len(plain) and _is_units(split_line(plain[at + 1].text, separator), len(header)):
         at += 1
-    return Layout(
-        header, line.text, separator, plain[at].end, plain[at].number + 1, decimal if separator != "," else "."
-    )
+    return Layout(header, line.text, separator, plain[at].end, plain[at].number + 1, _decimal(text, separator))
 
 
-def _first_lines(text: bytes) -> list[_Line]:
+def _first_lines(text: bytes, most: int) -> list[_Line]:
     """Return the first lines that are not blank, as far as a header may be among them."""
     lines: list[_Line] = []
     at = number = plain = 0
-    while at < len(text) and plain < MOST_LINES_ABOVE:
+    while at < len(text) and plain < most:
         newline = text.find(b"\n", at)
         end = text.find(b"\r", at, None if newline < 0 else newline)
         end = end if end >= 0 else newline if newline >= 0 else len(text)
@@ -157,18 +164,17 @@ def _is_time(cell: str) -> bool:
     return iso_match(cell) is not None or re.fullmatch(r"[\d./:\-T ,]+Z?", cell) is not None
 
 
-def _below_comment(above: Sequence[_Line], first: _Line, separator: str, decimal: str) -> Layout:
+def _below_comment(above: Sequence[_Line], first: _Line, separator: str, text: bytes) -> Layout:
     """Return the layout of a table whose header stands behind ``#``, above its first row."""
     width = len(split_line(first.text, separator))
     for line in reversed(above):
-        text = line.text.lstrip("# \t")
+        names_line = line.text.lstrip("# \t")
         for one in (separator, *SEPARATORS):
-            names = _cells(text, one)
+            names = _cells(names_line, one)
             if len(names) == width and not _is_data(names):
                 # The first row was found as a line: rows begin where the last comment above it ends.
-                return Layout(
-                    names, text, separator, above[-1].end, above[-1].number + 1, decimal if separator != "," else "."
-                )
+                end = above[-1]
+                return Layout(names, names_line, separator, end.end, end.number + 1, _decimal(text, separator))
     raise _no_header(first)
 
 
@@ -179,8 +185,11 @@ def _no_header(first: _Line) -> TelemetryFormatError:
     )
 
 
-def _header_among(plain: Sequence[_Line], declared: str | None) -> int:
-    """Return which line is the header: the first that parts into as many cells as the row below it; titles do not."""
+def _header_among(plain: Sequence[_Line], declared: str | None) -> int | None:
+    """Return which line is the header: the first that parts into as many cells as the row below it; titles do not.
+
+    None where no line does.
+    """
     for at, line in enumerate(plain[:-1]):
         separator = declared or _separator(line.text, [plain[at + 1].text])
         cells, below = _cells(line.text, separator), _cells(plain[at + 1].text, separator)
@@ -190,7 +199,7 @@ def _header_among(plain: Sequence[_Line], declared: str | None) -> int:
             if len(_cells(plain[0].text, declared or _separator(plain[0].text, []))) < 3:
                 raise _no_header(line)
             break
-    return 0
+    return None
 
 
 def _is_units(cells: Sequence[str], width: int) -> bool:
@@ -199,8 +208,10 @@ def _is_units(cells: Sequence[str], width: int) -> bool:
     return len(cells) == width and sum(cell in _UNITS for cell in plain) >= 3
 
 
-def _decimal(text: bytes) -> str:
+def _decimal(text: bytes, separator: str) -> str:
     """Return ``,`` where numbers are written with a decimal comma, in what can be seen of them."""
+    if separator == ",":
+        return "."
     head = text[:_PROBED_BYTES]
     return "," if _DECIMAL_COMMA.search(head) and not _DECIMAL_POINT.search(head) else "."
 

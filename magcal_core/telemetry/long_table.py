@@ -47,11 +47,11 @@ def long_columns(header: Sequence[str], columns: ColumnMap | None) -> LongColumn
     that has no column of the readings.
     """
     given = dict(columns or {})
-    names = {name.casefold().replace(" ", "_"): name for name in reversed(header) if name}
     is_told = "parameter" in given and "value" in given
     own = {given.get(name, name) for name in READING}
     if not is_told and own & set(header):
         return None
+    names = {name.casefold().replace(" ", "_"): name for name in reversed(header) if name}
     parameter = given.get("parameter") or _first(PARAMETER, names)
     value = given.get("value") or _first(VALUE, names)
     time = next((given[key] for key in given if key == TIME or key.startswith("time_")), None)

@@ -231,7 +231,7 @@ def _refuse_count(reading_nt: float, nt_per_count: float, bounds: tuple[float, f
     low, high, target = bounds
     if not low / 10.0 <= reading_nt <= high * 10.0:
         raise UnitsError(
-            f"median |B| of the readings is {reading_nt:.6g} nT with {nt_per_count:g} nT per count, expected {expected};"
+            f"median |B| of the readings is {reading_nt:.6g} nT with {nt_per_count:g} nT per count, want {expected};"
             f" about {nt_per_count * target / reading_nt:.2g} nT per count would fit"
         )
 

@@ -21,6 +21,8 @@ _NEAR_NS: Final = int(NEAR_DAYS * 86_400e9)
 _USUAL: Final = tuple(int(np.datetime64(day, "ns").astype(np.int64)) for day in ("1990-01-01", "2060-01-01"))
 """Without an orbit, forms that give these years are named first."""
 _LARGEST_BOOT_S: Final = 1e8
+_OF_SECONDS: Final = ("gps", "j2000")
+"""Forms whose small numbers are more likely seconds since boot."""
 _CLOCKS: Final = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M", "%I:%M:%S %p", "%I:%M %p")
 _DATES: Final = ("%d.%m.%Y", "%Y/%m/%d", "%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y", "%d-%b-%Y", "%d %b %Y", "%b %d %Y",
                  "%b %d, %Y", "%Y-%b-%d", "%Y.%m.%d", "%d/%b/%Y")  # fmt: skip
@@ -41,7 +43,7 @@ def names_of_number(value: float, spans: Spans) -> list[str]:
     plausible = {name: t_ns for name, t_ns in instants.items() if EARLIEST_NS <= t_ns < LATEST_NS}
     if spans:
         return [name for name, t_ns in plausible.items() if _is_near(t_ns, spans)]
-    likely = {name: t_ns for name, t_ns in plausible.items() if name != "j2000" or value > _LARGEST_BOOT_S}
+    likely = {name: t_ns for name, t_ns in plausible.items() if name not in _OF_SECONDS or value > _LARGEST_BOOT_S}
     usual = [name for name, t_ns in likely.items() if _USUAL[0] <= t_ns < _USUAL[1]]
     return usual or list(likely)
 
@@ -76,10 +78,11 @@ def on_text(text: str, spans: Spans) -> str:
     if any(_parsed(plain, clock) is not None for clock in _CLOCKS):
         return 'a time of day alone: name the column of the date too, with the column map {"date": .., "time": ..}'
     with contextlib.suppress(InputError):
-        if not spans or _is_near(day_of_year_ns(plain, None), spans):
+        t_ns = day_of_year_ns(plain, None)
+        if not spans or _is_near(t_ns, spans):
             return _asked([DAY_OF_YEAR])
-    found = {pattern: t_ns for pattern in PATTERNS if (t_ns := _parsed(plain, pattern)) is not None}
-    near = [pattern for pattern, t_ns in found.items() if not spans or _is_near(t_ns, spans)]
+    found = {pattern: _parsed(plain, pattern) for pattern in PATTERNS}
+    near = [name for name, t_ns in found.items() if t_ns is not None and (not spans or _is_near(t_ns, spans))]
     return f"declare the form: {' or '.join(_option(pattern) for pattern in near)}" if near else ""
 
 
