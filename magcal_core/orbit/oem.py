@@ -14,16 +14,10 @@ from magcal_core.orbit.epochs import TIME_SYSTEMS, parse_epoch, to_utc
 from magcal_core.orbit.frames import Frame, State, convert_position, convert_state
 from magcal_core.orbit.interpolation import StateTable
 from magcal_core.orbit.kvn import KvnLine, find_all, kvn_lines, leaves, parse_xml
+from magcal_core.orbit.messages.frames_of_date import in_known_frame, known_frames
 from magcal_core.orbit.timescales import Times, nanoseconds
 
 Floats = NDArray[np.float64]
-
-FRAME_OF_OEM: Final[Mapping[str, Frame]] = {
-    "GCRF": "GCRF", "ICRF": "GCRF", "GCRS": "GCRF", "EME2000": "EME2000", "J2000": "EME2000", "TEME": "TEME",
-    "ITRF": "ITRF", "ITRF-93": "ITRF", "ITRF-97": "ITRF", "ITRF2000": "ITRF", "ITRF2005": "ITRF", "ITRF2008": "ITRF",
-    "ITRF2014": "ITRF", "ITRF2020": "ITRF", "ITRF1993": "ITRF", "ITRF1997": "ITRF",
-}  # fmt: skip
-"""Reference frames that an ephemeris may be in; the ITRFs of different years are centimetres apart."""
 
 MAX_STATES: Final = 500_000
 DEFAULT_DEGREE: Final = 7
@@ -193,19 +187,21 @@ def _xml_segments(text: str, faults: list[Fault]) -> list[Part]:
 def _segment(meta: Mapping[str, str], rows: Sequence[Row], where: str, faults: list[Fault]) -> Segment | None:
     before = len(faults)
     faults.extend(Fault(f"{where}, {key}", "is missing") for key in _KEYS if not meta.get(key))
-    frame = FRAME_OF_OEM.get(meta.get("REF_FRAME", "").upper())
-    if meta.get("REF_FRAME") and frame is None:
-        faults.append(Fault(f"{where}, REF_FRAME", f"want one of {', '.join(FRAME_OF_OEM)}", meta["REF_FRAME"]))
+    name = meta.get("REF_FRAME", "").upper()
+    if name and name not in known_frames():
+        faults.append(Fault(f"{where}, REF_FRAME", f"want one of {', '.join(known_frames())}", meta["REF_FRAME"]))
     if meta.get("CENTER_NAME", "EARTH").upper() != "EARTH":
         faults.append(Fault(f"{where}, CENTER_NAME", "want EARTH", meta["CENTER_NAME"]))
     system = meta.get("TIME_SYSTEM", "UTC").upper()
     if system not in TIME_SYSTEMS:
         faults.append(Fault(f"{where}, TIME_SYSTEM", f"want one of {', '.join(TIME_SYSTEMS)}", system))
     states = _states(rows, faults)
-    if len(faults) > before or frame is None:
+    if len(faults) > before:
         return None
     epochs, numbers = states
-    table = StateTable(nanoseconds(to_utc(epochs, system)), numbers[:, :3].copy(), numbers[:, 3:6].copy())
+    t_utc = to_utc(epochs, system)
+    frame, r_km, v_km_s = in_known_frame(name, t_utc, numbers[:, :3].copy(), numbers[:, 3:6].copy())
+    table = StateTable(nanoseconds(t_utc), r_km, v_km_s)
     method, degree = _method(meta, len(rows), where, faults)
     span = _span(meta, system, table, where, faults)
     if len(faults) > before:
