@@ -11,11 +11,20 @@ from numpy.typing import NDArray
 
 from magcal_core.attitude.rotation import rotate_rows
 from magcal_core.calibration.corrections import lengths
-from magcal_core.errors import OrbitMissingError, TleEpochError
+from magcal_core.errors import ModelRangeError, OrbitMissingError, TleEpochError
 from magcal_core.field import FieldModel
 from magcal_core.field_along import Part, field_of_parts, positions_km
 from magcal_core.orbit import Orbit
-from magcal_core.orbit.choose import MAX_AGE_DAYS, NO_ORBIT, BoundedOrbit, Choice, check_age, choose_orbits
+from magcal_core.orbit.choose import (
+    MAX_AGE_DAYS,
+    NO_ORBIT,
+    BoundedOrbit,
+    Choice,
+    InterpolatedOrbit,
+    check_age,
+    choose_orbits,
+)
+from magcal_core.orbit.messages.interpolation_check import BETTER_KM, REFUSED_KM
 from magcal_core.orbit.timescales import nanoseconds
 from magcal_core.samples import Floats, SampleFlag, Samples, Times
 from magcal_core.telemetry.time_guesses import on_distance, spans_of
@@ -43,12 +52,15 @@ class ReferenceReport:
         Name of the field model; of no effect where the telemetry brought the field itself.
     warnings : tuple of str
         Codes and texts, such as ``tle_old: ...``.
+    interpolation_km : float
+        How far an ephemeris is off between its points at the most, km.
     """
 
     orbit_model: str
     orbits: tuple[Mapping[str, object], ...]
     field_model: str
     warnings: tuple[str, ...] = ()
+    interpolation_km: float = 0.0
 
 
 def with_reference(
@@ -115,7 +127,11 @@ def _from_orbits(
         raise OrbitMissingError(_not_covered(orbits, samples.t_utc))
     if gap := np.count_nonzero(~has_place):
         warnings.append(f"orbit_gap: no orbit covers {gap} of {len(samples)} samples")
-    report = ReferenceReport("+".join(sorted(models)), tuple(entries), field.name, tuple(warnings))
+    interpolation_km = _interpolation_km(t_true, parts)
+    warnings += _off_between_points(interpolation_km)
+    report = ReferenceReport(
+        "+".join(sorted(models)), tuple(entries), field.name, tuple(warnings), float(interpolation_km)
+    )
     cleared = samples.flags & ~np.where(has_place, np.uint16(SampleFlag.NO_REFERENCE), np.uint16(0))
     return _with_field(replace(samples, flags=cleared), t_true, r_itrf_km, parts, field), report
 
@@ -163,6 +179,37 @@ def _checked_age(choice: Choice, orbits: Sequence[Orbit], t_utc: Times, max_age_
 def orbit_spans(orbits: Sequence[Orbit]) -> Spans:
     """Return where orbits are good: at their epochs, and where an ephemeris has positions."""
     return spans_of([(orbit.epoch_utc, getattr(orbit, "until_utc", None)) for orbit in orbits])
+
+
+def _interpolation_km(t_true: Times, parts: Sequence[Part]) -> float:
+    """Return how far the ephemerides are off between their points at the times of the samples at the most, km."""
+    errors = [
+        float(part.orbit.interpolation_error_km(t_true[part.rows]).max(initial=0.0))
+        for part in parts
+        if isinstance(part.orbit, InterpolatedOrbit)
+    ]
+    return max(errors, default=0.0)
+
+
+def _off_between_points(error_km: float) -> list[str]:
+    """Return the warning of an ephemeris that is off between its points.
+
+    Raises
+    ------
+    ModelRangeError
+        It is off by more than an orbit may be.
+    """
+    if error_km > REFUSED_KM:
+        raise ModelRangeError(
+            f"the ephemeris is {error_km:.2g} km off between its points at the times of the telemetry; "
+            f"limit {REFUSED_KM:g} km: send points closer together"
+        )
+    if error_km <= BETTER_KM:
+        return []
+    return [
+        f"orbit_interpolation: the ephemeris is up to {error_km:.2g} km off between its points, and its velocities do "
+        "not tell better; send points closer together"
+    ]
 
 
 def _deciding(t_utc: Times, orbits: Sequence[Orbit]) -> Times:

@@ -15,6 +15,7 @@ from magcal_core.orbit.frames import Frame, State, convert_position, convert_sta
 from magcal_core.orbit.interpolation import StateTable
 from magcal_core.orbit.kvn import KvnLine, find_all, kvn_lines, leaves, parse_xml
 from magcal_core.orbit.messages.frames_of_date import in_known_frame, known_frames
+from magcal_core.orbit.messages.interpolation_check import REFUSED_KM, Interpolation, best_interpolation
 from magcal_core.orbit.timescales import Times, nanoseconds
 
 Floats = NDArray[np.float64]
@@ -29,7 +30,10 @@ _MAX_DEGREE: Final = 31
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segment:
-    """One stretch of an ephemeris: nodes in one frame, and the times at which it may be used."""
+    """One stretch of an ephemeris: nodes in one frame, the times at which it may be used, how it is interpolated.
+
+    ``checked`` says how far interpolation is off; None where that was not looked at.
+    """
 
     frame: Frame
     table: StateTable
@@ -37,6 +41,7 @@ class Segment:
     stop_ns: int
     interpolation: str
     degree: int
+    checked: Interpolation | None = None
 
     def state(self, stamps_ns: NDArray[np.int64]) -> State:
         """Return position, km, and velocity, km/s, each of shape (n, 3), in the segment's frame."""
@@ -101,6 +106,19 @@ class OemOrbit:
             state = segment.state(nanoseconds(t_utc[rows]))
             r_gcrf_km[rows], v_gcrf_km_s[rows] = convert_state(t_utc[rows], *state, segment.frame, "GCRF")
         return r_gcrf_km, v_gcrf_km_s
+
+    def interpolation_error_km(self, t_utc: Times) -> Floats:
+        """Return how far interpolation between the points is off at the most about each time, km, shape (n,).
+
+        0 outside the segments.
+        """
+        stamps = nanoseconds(t_utc)
+        index, errors_km = self._segment_of(stamps), np.zeros(len(stamps))
+        for i, segment in enumerate(self.segments):
+            rows = index == i
+            if segment.checked is not None:
+                errors_km[rows] = segment.checked.error_km(stamps[rows])
+        return errors_km
 
     def _segment_of(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.intp]:
         index = np.full(len(stamps_ns), -1, np.intp)
@@ -206,7 +224,16 @@ def _segment(meta: Mapping[str, str], rows: Sequence[Row], where: str, faults: l
     span = _span(meta, system, table, where, faults)
     if len(faults) > before:
         return None
-    return Segment(frame, table, *span, method, degree)
+    found = best_interpolation(table, method, degree)
+    if found.typical_km > REFUSED_KM:
+        step_s = float(np.median(np.diff(table.stamps_ns))) / 1e9
+        why = (
+            f"interpolation ({method} {degree}) between its points, {step_s:g} s apart, is {found.typical_km:.2g} km off"
+            f"; limit {REFUSED_KM:g} km: send points closer together, or velocities that are those of the positions"
+        )
+        faults.append(Fault(where, why))
+        return None
+    return Segment(frame, table, *span, found.method, found.degree, found)
 
 
 def _states(rows: Sequence[Row], faults: list[Fault]) -> tuple[Times, Floats]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
@@ -141,13 +142,22 @@ def _of_tle(text: str) -> list[OrbitSource]:
         tles = parse_tles(text)
     except TleFormatError as error:
         # Only prose is passed over: a line of a TLE that is wrong stays a fault of the text.
-        if not all(fault.why.startswith(_PROSE) for fault in error.faults):
-            raise
+        lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+        if wrong := [fault for fault in error.faults if not _is_prose(fault, lines)]:
+            more = f" and {len(wrong) - 1} more" if len(wrong) > 1 else ""
+            raise type(error)(f"TLE {wrong[0].where}: {wrong[0].why}{more}", error.faults) from error
         alone = tles_alone(text)
         if not alone:
             raise
         tles = parse_tles(alone)
     return [_of_mean_elements("tle", tle) for tle in tles]
+
+
+def _is_prose(fault: Fault, lines: Sequence[str]) -> bool:
+    """Return whether a fault is of a line that is no line of a TLE at all."""
+    place = re.match(r"line (\d+)", fault.where)
+    line = lines[int(place[1]) - 1] if place else ""
+    return fault.why.startswith(_PROSE) and re.match(r"\s*[12] +\w{5}[UCS ]? ", line) is None
 
 
 def _of_opm(text: str) -> list[OrbitSource]:

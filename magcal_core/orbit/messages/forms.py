@@ -57,6 +57,7 @@ def _is_csv_of_elements(start: str) -> bool:
 FORMS: Final = (
     Form("html", "an HTML page", _starts(r"<!doctype html|<html|<head|<body"), is_read=False),
     Form("json", "JSON", _starts(r"[{\[]")),
+    Form("csv", "CSV of mean elements", _is_csv_of_elements),
     Form("kml", "a KML file", _xml_of("kml"), is_read=False),
     Form("gpx", "a GPX file", _xml_of("gpx"), is_read=False),
     Form("aem-xml", "an attitude message (CCSDS AEM or APM)", _xml_of("a[ep]m"), is_read=False),
@@ -78,7 +79,6 @@ FORMS: Final = (
     Form("rinex", "a RINEX file", lambda start: "RINEX VERSION" in start.partition("\n")[0], is_read=False),
     Form("gmat", "a GMAT script", _starts(r"%?.*\n?Create Spacecraft"), is_read=False),
     Form("ndm-csv", "a table of positions", _starts(r"\"?(?:time|epoch|date)[^\n,;]*[,;][^\n]*\bx\b"), is_read=False),
-    Form("csv", "CSV of mean elements", _is_csv_of_elements),
 )
 """Looked through in this order; what none of them is, is taken for TLEs, alone or with text around them."""
 

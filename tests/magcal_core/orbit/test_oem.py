@@ -163,7 +163,7 @@ def test_xml_and_kvn_are_the_same_ephemeris(circle: tuple[NDArray[np.datetime64]
 @pytest.mark.parametrize(
     ("old", "new", "where"),
     [
-        ("REF_FRAME = GCRF", "REF_FRAME = TOD", "segment 1, REF_FRAME"),
+        ("REF_FRAME = GCRF", "REF_FRAME = MOON_ME", "segment 1, REF_FRAME"),
         ("REF_FRAME = GCRF\n", "", "segment 1, REF_FRAME"),
         ("TIME_SYSTEM = UTC", "TIME_SYSTEM = MET", "segment 1, TIME_SYSTEM"),
         ("CENTER_NAME = EARTH", "CENTER_NAME = MARS", "segment 1, CENTER_NAME"),
