@@ -74,6 +74,12 @@ class ConflictError(ServiceError):
     code = "conflict"
 
 
+class OtherObjectError(ConflictError):
+    """An orbit is of another object than the satellite that it is sent for."""
+
+    code = "other_object"
+
+
 class InProgressError(ServiceError):
     """The first request with this Idempotency-Key has not ended yet."""
 

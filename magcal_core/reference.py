@@ -183,12 +183,12 @@ def orbit_spans(orbits: Sequence[Orbit]) -> Spans:
 
 def _interpolation_km(t_true: Times, parts: Sequence[Part]) -> float:
     """Return how far the ephemerides are off between their points at the times of the samples at the most, km."""
-    errors = [
-        float(part.orbit.interpolation_error_km(t_true[part.rows]).max(initial=0.0))
-        for part in parts
-        if isinstance(part.orbit, InterpolatedOrbit)
-    ]
-    return max(errors, default=0.0)
+    largest = 0.0
+    for part in parts:
+        orbit = part.orbit
+        if isinstance(orbit, InterpolatedOrbit):
+            largest = max(largest, float(orbit.interpolation_error_km(t_true[part.rows]).max(initial=0.0)))
+    return largest
 
 
 def _off_between_points(error_km: float) -> list[str]:

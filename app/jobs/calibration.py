@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Final
 
@@ -19,6 +19,7 @@ from app.jobs.schemas import CalibrationBody, JobBody
 from app.jobs.tables import JobSession
 from app.keys.repository import SYSTEM, Caller
 from app.orbits.choice import chosen
+from app.orbits.objects import difference
 from app.orbits.repository import OrbitRepository
 from app.orbits.tables import OrbitRow
 from app.parameter_sets.repository import ParameterSetRepository
@@ -40,7 +41,8 @@ DEFAULT_AGE_DAYS: Final = 14.0
 @dataclass(frozen=True, slots=True)
 class CalibrationWork:
     """What a calibration works on: each session's chunks, orbits as (id, content), options, its inputs' names, and the
-    parameter set that was in force before, where there is one.
+    parameter set that was in force before, where there is one; ``strangers`` says of orbits of another object, by id,
+    which.
     """
 
     columns: Sequence[Sequence[bytes]]
@@ -48,6 +50,7 @@ class CalibrationWork:
     options: Mapping[str, object]
     inputs: Sequence[Mapping[str, object]]
     active: Mapping[str, object] | None = None
+    strangers: Mapping[str, str] = field(default_factory=dict)
 
 
 class CalibrationKind:
@@ -103,12 +106,15 @@ class CalibrationKind:
         end = max(row.data_until for row in rows if row.data_until is not None)
         orbits = OrbitRepository(session, SYSTEM, str(claim.satellite_id))
         near = orbits.around(begin, end, _limit_days(claim.request))
+        satellite = SatelliteRepository(session, SYSTEM).get(str(claim.satellite_id))
+        others = {row.id: other for row in near if (other := difference(satellite, row.details)) is not None}
         return CalibrationWork(
             columns=columns,
             orbits=[(row.id, row.content) for row in near],
             options=claim.request,
             inputs=[_input(row.id, sessions.chunks(row.id)) for row in rows],
             active=_in_force(session, claim, begin),
+            strangers=others,
         )
 
     def keep(self, session: Session, store: Store, claim: Claim, found: Outcome) -> dict[str, object]:

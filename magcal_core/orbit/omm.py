@@ -157,7 +157,7 @@ def _from_csv(text: str) -> Sequence[Mapping[str, str]]:
         for row in rows:
             given = {key.strip(): value for key, value in row.items() if isinstance(key, str) and value is not None}
             if len(given) < width or None in row:
-                cells = len(given) + len(row.get(None) or ())  # type: ignore[call-overload]
+                cells = len(given) + len(row.get(None) or ())
                 faults.append(Fault(f"line {rows.line_num}", f"{cells} cells, the header has {width}"))
             records.append(given)
     except csv.Error as error:

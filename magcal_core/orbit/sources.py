@@ -39,7 +39,13 @@ _FORMS_OF_TYPE: Final[Mapping[str, tuple[str, ...]]] = {
 """Media type -> the forms that it may hold; other types hold any."""
 
 
-_PROSE: Final = ("neither a line of a TLE", "control character", "name has ", "line 1 of a TLE, but", "line 2 of a TLE, but")
+_PROSE: Final = (
+    "neither a line of a TLE",
+    "control character",
+    "name has ",
+    "line 1 of a TLE, but",
+    "line 2 of a TLE, but",
+)
 """What `parse_tles` finds in text that stands around TLEs."""
 
 
@@ -161,9 +167,7 @@ def _is_prose(fault: Fault, lines: Sequence[str]) -> bool:
 
 
 def _of_opm(text: str) -> list[OrbitSource]:
-    return [
-        replace(_of_state(state), name=name, cospar_id=cospar_id) for state, name, cospar_id in parse_opms(text)
-    ]
+    return [replace(_of_state(state), name=name, cospar_id=cospar_id) for state, name, cospar_id in parse_opms(text)]
 
 
 def _of_oem(text: str) -> list[OrbitSource]:

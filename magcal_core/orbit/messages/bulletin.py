@@ -38,8 +38,4 @@ def _is_element_line(line: str) -> bool:
 
 
 def _pairs(lines: list[str]) -> list[tuple[int, int]]:
-    return [
-        (i, i + 1)
-        for i in range(len(lines) - 1)
-        if _LINE["1"].match(lines[i]) and _LINE["2"].match(lines[i + 1])
-    ]
+    return [(i, i + 1) for i in range(len(lines) - 1) if _LINE["1"].match(lines[i]) and _LINE["2"].match(lines[i + 1])]

@@ -126,7 +126,9 @@ def form_of(text: str) -> str:
     if form.name == "html":
         title = re.search(r"<title[^>]*>\s*([^<]{1,200})", start, re.IGNORECASE)
         said = f", {_quoted(title[1])}" if title else ""
-        raise OrbitFormatError(f"this is an HTML page{said}, not an orbit: a page for people, or a server's error or login")
+        raise OrbitFormatError(
+            f"this is an HTML page{said}, not an orbit: a page for people, or a server's error or login"
+        )
     if not form.is_read:
         raise OrbitFormatError(f"this is {form.words}, which is not read; read are {READ}")
     return form.name
@@ -153,7 +155,9 @@ def refuse_json_message(content: object) -> None:
     said = next((one[key] for key in one if str(key).lower() in _ERROR_KEYS and one[key]), None)
     if said is not None:
         text = said if isinstance(said, str) else json.dumps(said)
-        raise OrbitFormatError(f"this is a server's message, not an orbit: {_quoted(text)}", [Fault("orbit", "no orbit")])
+        raise OrbitFormatError(
+            f"this is a server's message, not an orbit: {_quoted(text)}", [Fault("orbit", "no orbit")]
+        )
 
 
 def _quoted(text: str) -> str:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from magcal_core.errors import Fault, OrbitFormatError
 from magcal_core.orbit.epochs import to_utc
 from magcal_core.orbit.messages.oem_text import Ephemeris
+from magcal_core.orbit.timescales import Times
 
 FIRST_LINE: Final = re.compile(r"#([a-z])([PV ])\d{4}")
 READ_VERSIONS: Final = "cd"
@@ -109,7 +110,7 @@ def _ephemeris(content: _Content) -> Ephemeris:
     ((name, positions),) = content.positions.items()
     system, behind_s = _SYSTEMS[content.system]
     rows = [row for row, _ in positions]
-    at = np.array(content.epochs, "datetime64[ns]")[rows] + np.timedelta64(behind_s, "s")
+    at: Times = np.array(content.epochs, "datetime64[ns]")[rows] + np.timedelta64(behind_s, "s")
     speeds = dict(content.velocities.get(name, []))
     v_km_s: NDArray[np.float64] | None = None
     if all(row in speeds for row in rows):

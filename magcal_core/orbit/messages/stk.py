@@ -87,9 +87,7 @@ def _epoch(said: dict[str, str], faults: list[Fault]) -> np.datetime64 | None:
     return None
 
 
-def _numbers(
-    rows: list[tuple[int, list[str]]], table: str, faults: list[Fault]
-) -> NDArray[np.float64]:
+def _numbers(rows: list[tuple[int, list[str]]], table: str, faults: list[Fault]) -> NDArray[np.float64]:
     width = _TABLES.get(table, 0)
     if not width:
         faults.append(Fault("end", "there is no table EphemerisTimePosVel or EphemerisTimePos"))

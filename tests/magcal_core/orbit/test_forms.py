@@ -40,7 +40,9 @@ def assert_is(source: OrbitSource, orbit: Sgp4Orbit, tolerance_km: float) -> Non
     assert (again.kind, again.epoch_utc) == (source.kind, source.epoch_utc)
 
 
-def sp3(orbit: Sgp4Orbit, version: str, system: str = "GPS", *, velocities: bool = True, ids: tuple[str, ...] = ("L49",)):
+def sp3(
+    orbit: Sgp4Orbit, version: str, system: str = "GPS", *, velocities: bool = True, ids: tuple[str, ...] = ("L49",)
+):
     t_utc, r_km, v_km_s = states(orbit, "ITRF")
     shift = GPS_MINUS_UTC if system == "GPS" else np.timedelta64(0, "s")
     lines = [f"#{version}{'V' if velocities else 'P'}2022  2 19 22  0  0.00000000      40 ORBIT IGS14 FIT  XYZ"]
@@ -58,7 +60,9 @@ def sp3(orbit: Sgp4Orbit, version: str, system: str = "GPS", *, velocities: bool
     return "\n".join([*lines, "EOF"]) + "\n"
 
 
-@pytest.mark.parametrize(("version", "system", "velocities"), [("c", "GPS", True), ("d", "UTC", True), ("d", "GPS", False)])
+@pytest.mark.parametrize(
+    ("version", "system", "velocities"), [("c", "GPS", True), ("d", "UTC", True), ("d", "GPS", False)]
+)
 def test_sp3_c_and_d_are_read(orbit, version, system, velocities):
     """Millimetres in the file, points of a minute; SGP4's velocities miss the slope of its positions by millimetres a second."""
     (source,) = parse_sources(sp3(orbit, version, system, velocities=velocities), "text/plain")
@@ -120,15 +124,25 @@ def opm(orbit: Sgp4Orbit, *, is_xml: bool, system: str = "UTC", frame: str = "EM
     t_utc, r_km, v_km_s = states(orbit, "EME2000", count=1)
     shift = {"UTC": 0, "GPS": 18, "TAI": 37}[system]
     epoch = np.datetime_as_string(t_utc[0] + np.timedelta64(shift, "s"), unit="ms")
-    values = dict(zip(("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT"), (*r_km[0].tolist(), *v_km_s[0].tolist()), strict=True))
-    meta = {"OBJECT_NAME": "DEKART", "OBJECT_ID": "2020-068H", "CENTER_NAME": "EARTH", "REF_FRAME": frame, "TIME_SYSTEM": system}
+    values = dict(
+        zip(("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT"), (*r_km[0].tolist(), *v_km_s[0].tolist()), strict=True)
+    )
+    meta = {
+        "OBJECT_NAME": "DEKART",
+        "OBJECT_ID": "2020-068H",
+        "CENTER_NAME": "EARTH",
+        "REF_FRAME": frame,
+        "TIME_SYSTEM": system,
+    }
     if is_xml:
         cells = lambda rows: "".join(f"<{k}>{v!s}</{k}>" for k, v in rows.items())  # noqa: E731
         body = f"<metadata>{cells(meta)}</metadata><data><stateVector>{cells({'EPOCH': epoch} | values)}</stateVector></data>"
         return f'<?xml version="1.0"?><opm id="CCSDS_OPM_VERS"><body><segment>{body}</segment></body></opm>'
     lines = [f"{k} = {v}" for k, v in (meta | {"EPOCH": epoch}).items()]
     units = [f"{k} = {v!r} [{'km/s' if 'DOT' in k else 'km'}]" for k, v in values.items()]
-    return "\n".join(["CCSDS_OPM_VERS = 2.0", "CREATION_DATE = 2022-02-20", *lines, "COMMENT x", *units, "MASS = 7.5 [kg]", extra])
+    return "\n".join(
+        ["CCSDS_OPM_VERS = 2.0", "CREATION_DATE = 2022-02-20", *lines, "COMMENT x", *units, "MASS = 7.5 [kg]", extra]
+    )
 
 
 @pytest.mark.parametrize("is_xml", [False, True])
@@ -193,7 +207,12 @@ def satnogs(tle: str) -> dict[str, object]:
         satnogs,
         lambda tle: {"results": [satnogs(tle)], "next": None},
         lambda tle: {"TLE_LINE0": "0 DEKART", "TLE_LINE1": tle.splitlines()[1], "TLE_LINE2": tle.splitlines()[2]},
-        lambda tle: {"satelliteId": 46493, "name": "DEKART", "line1": tle.splitlines()[1], "line2": tle.splitlines()[2]},
+        lambda tle: {
+            "satelliteId": 46493,
+            "name": "DEKART",
+            "line1": tle.splitlines()[1],
+            "line2": tle.splitlines()[2],
+        },
         lambda tle: {"info": {"satid": 46493}, "tle": "\r\n".join(tle.splitlines()[1:])},
         lambda tle: {"name": "DEKART", "tle": tle.splitlines()[1:]},
     ],
@@ -306,7 +325,9 @@ def test_every_form_that_is_read_has_a_reader(name):
     assert name in _READERS
 
 
-@pytest.mark.parametrize("noise", ["", "\x00", "{", "[1]", "<x/>", "#cP2022", "stk.v.11.0\n", "*", "CCSDS_OPM_VERS = 2.0\n", "1 \n2 \n"])
+@pytest.mark.parametrize(
+    "noise", ["", "\x00", "{", "[1]", "<x/>", "#cP2022", "stk.v.11.0\n", "*", "CCSDS_OPM_VERS = 2.0\n", "1 \n2 \n"]
+)
 def test_no_text_escapes_as_another_error(noise):
     with pytest.raises((InputError, EncodingError)):
         parse_sources(noise)

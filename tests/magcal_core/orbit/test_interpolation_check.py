@@ -32,7 +32,9 @@ def kepler(t_s: Floats, axis_km: float, eccentricity: float) -> tuple[Floats, Fl
     return np.stack([x, y], 1) @ tilt.T, np.stack([vx, vy], 1) @ tilt.T
 
 
-def oem(step_s: int, method: str, degree: int, *, axis_km: float = 6878.0, e: float = 0.002, velocities: str = "own") -> str:
+def oem(
+    step_s: int, method: str, degree: int, *, axis_km: float = 6878.0, e: float = 0.002, velocities: str = "own"
+) -> str:
     t_s = np.arange(max(28, 16_000 // step_s)) * float(step_s)
     r_km, v_km_s = kepler(t_s, axis_km, e)
     v_km_s = {"own": v_km_s, "none": np.zeros_like(v_km_s), "turned": v_km_s[:, ::-1]}[velocities]
@@ -46,7 +48,9 @@ def oem(step_s: int, method: str, degree: int, *, axis_km: float = 6878.0, e: fl
     )
 
 
-def true_error_km(text: str, method: str, degree: int, *, axis_km: float = 6878.0, e: float = 0.002) -> tuple[float, float]:
+def true_error_km(
+    text: str, method: str, degree: int, *, axis_km: float = 6878.0, e: float = 0.002
+) -> tuple[float, float]:
     """Return how far the orbit is off as it is used, and as the file says, at the most between inner points, km."""
     (segment,) = parse_oem(text.replace(f"= {degree}\n", f"= {degree}\n")).segments
     stamps = segment.table.stamps_ns
@@ -57,7 +61,13 @@ def true_error_km(text: str, method: str, degree: int, *, axis_km: float = 6878.
     return (float(np.linalg.norm(one - true_km, axis=1).max()) for one in (used, said))
 
 
-EPHEMERIDES = [(900, "LAGRANGE", 5), (600, "LAGRANGE", 5), (300, "LAGRANGE", 3), (60, "LAGRANGE", 1), (180, "LAGRANGE", 5)]
+EPHEMERIDES = [
+    (900, "LAGRANGE", 5),
+    (600, "LAGRANGE", 5),
+    (300, "LAGRANGE", 3),
+    (60, "LAGRANGE", 1),
+    (180, "LAGRANGE", 5),
+]
 """Step, s, and interpolation: 29, 2.8, 2.0, 3.8 km and 2 m off on a circular orbit of 500 km."""
 
 
@@ -100,7 +110,9 @@ def test_a_sound_ephemeris_is_interpolated_as_it_says():
 
 @pytest.mark.parametrize("velocities", ["none", "turned"])
 def test_beyond_ten_kilometres_an_ephemeris_is_refused_with_its_size(velocities):
-    with pytest.raises(OrbitFormatError, match=r"interpolation \(LAGRANGE 5\) between its points, 900 s apart, is \d+ km off"):
+    with pytest.raises(
+        OrbitFormatError, match=r"interpolation \(LAGRANGE 5\) between its points, 900 s apart, is \d+ km off"
+    ):
         parse_oem(oem(900, "LAGRANGE", 5, velocities=velocities))
 
 
