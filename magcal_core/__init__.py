@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from magcal_core.sensor import SensorModel as SensorModel
     from magcal_core.simulation import simulate as simulate
     from magcal_core.telemetry import read_samples as read_samples
+    from magcal_core.which_object import which_object as which_object
 
 _HOME: Final[dict[str, str]] = {
     "Calibration": "calibration.result",
@@ -48,6 +49,7 @@ _HOME: Final[dict[str, str]] = {
     "read_samples": "telemetry",
     "refit": "calibration.refitting",
     "simulate": "simulation",
+    "which_object": "which_object",
     "with_reference": "reference",
 }
 

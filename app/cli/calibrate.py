@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 STDIN: Final = "-"
 
 
-def _telemetry_options(function: F) -> F:
+def telemetry_options(function: F) -> F:
     """Add the options of how telemetry is read."""
     return added(function, [
         click.option("--unit", type=click.Choice([*NT_PER_UNIT, COUNTS]), default="nT", show_default=True,
@@ -102,7 +102,7 @@ def _estimation_options(function: F) -> F:
                 type=click.Path(exists=True, dir_okay=False, allow_dash=True, path_type=Path))  # fmt: skip
 @_orbit_options
 @_estimation_options
-@_telemetry_options
+@telemetry_options
 @click.option("--active", type=INPUT_FILE, help="Parameter set in force: the verdict tells where the new one differs.")
 @click.option("--json", "as_json", is_flag=True, help="Print the parameter set as JSON.")
 @click.option("--residuals", type=OUTPUT_FILE, help="Write the residual table: .csv, .ndjson, .json or .parquet.")
@@ -149,7 +149,7 @@ def command(
     reading = Reading(
         unit, columns, kind, range_nt, time_scale, max_bad_fraction, not any_field, declared, orbit_spans(orbits)
     )
-    samples, inputs = _read_all(telemetry, reading)
+    samples, inputs = read_all(telemetry, reading)
     if corrected_with is not None:
         samples = _uncorrected(samples, corrected_with, inputs)
     with LateProgress("calibrating") as progress:
@@ -217,7 +217,7 @@ class Reading:
         return telemetry, hashlib.sha256(content).hexdigest()
 
 
-def _read_all(paths: tuple[Path, ...], reading: Reading) -> tuple[Samples, list[dict[str, object]]]:
+def read_all(paths: tuple[Path, ...], reading: Reading) -> tuple[Samples, list[dict[str, object]]]:
     """Return the samples of all files, and what they were."""
     from magcal_core.telemetry import merge_samples
 

@@ -228,8 +228,8 @@ def _segment(meta: Mapping[str, str], rows: Sequence[Row], where: str, faults: l
     if found.typical_km > REFUSED_KM:
         step_s = float(np.median(np.diff(table.stamps_ns))) / 1e9
         why = (
-            f"interpolation ({method} {degree}) between its points, {step_s:g} s apart, is {found.typical_km:.2g} km off"
-            f"; limit {REFUSED_KM:g} km: send points closer together, or velocities that are those of the positions"
+            f"interpolation ({method} {degree}) between its points, {step_s:g} s apart, is {found.typical_km:.2g} km "
+            f"off; limit {REFUSED_KM:g} km: send points closer together, or velocities that are those of the positions"
         )
         faults.append(Fault(where, why))
         return None

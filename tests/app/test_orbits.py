@@ -6,6 +6,7 @@ import time
 import pytest
 
 from app.demo.mission import SESSIONS, simulated, tle_text
+from magcal_core.orbit.tle import checksum
 from magcal_core.telemetry import write_samples
 
 TEXT = {"content-type": "text/plain"}
@@ -189,3 +190,18 @@ def test_an_orbit_of_another_object_that_was_forced_is_named_by_the_calibration(
     record = api.get(f"/parameter-sets/{done['result']['parameter_set_id']}").json()
     (warning,) = [one for one in record["warnings"] if one.startswith("orbit_of_another_object")]
     assert warning.endswith("NORAD id 46493, the satellite's is 25544")
+
+
+def test_a_session_tells_which_object_of_a_launch_it_is_of(api, satellite):
+    first, second = (next(line for line in tle_text().splitlines() if line.startswith(f"{kind} ")) for kind in "12")
+    launch = ""
+    for number, ahead_deg in ((50001, -1.0), (50002, 0.0), (50003, 1.0)):
+        anomaly = (float(second[43:51]) + ahead_deg) % 360.0
+        lines = (f"1 {number}{first[7:68]}", f"2 {number}{second[7:43]}{anomaly:8.4f}{second[51:68]}")
+        launch += "".join(f"{line}{checksum(line)}\n" for line in lines)
+    content = write_samples(simulated(SESSIONS[0], 200).samples, "csv")
+    session = api.post(f"/satellites/{satellite}/sessions", content=content, params={"magnetometer": "mgm"}).json()
+    answer = api.post(f"/sessions/{session['id']}/which-object", content=launch, headers=TEXT)
+    assert answer.status_code == 200
+    assert (answer.json()["state"], answer.json()["objects"][0]["norad_id"]) == ("told", "50002")
+    assert api.post("/sessions/0123456789abcdef0123456789abcdef/which-object", content=launch, headers=TEXT).status_code == 404

@@ -2,8 +2,8 @@
 
 Notes
 -----
-True of date (TOD) and mean of date (MOD) are turned to GCRF with the IAU 2006/2000A matrices (IERS2010): within 2 m in a
-low orbit of the IAU 1976/1980 theory that older software uses for them. The pseudo-Earth-fixed frame (TDR, GTOD, PEF)
+True of date (TOD) and mean of date (MOD) are turned to GCRF with the IAU 2006/2000A matrices (IERS2010): within 3 m in
+a low orbit of the IAU 1976/1980 theory that older software uses for them. The pseudo-Earth-fixed frame (TDR, GTOD, PEF)
 is turned to ITRF with the polar motion of the day. Their turning against the stars, 1e-11 rad/s, is left out of
 velocities.
 """

@@ -116,8 +116,8 @@ def _without(table: StateTable, first: int) -> tuple[StateTable, NDArray[np.intp
 def _hermite_errors_km(table: StateTable, degree: int) -> tuple[float, float]:
     """Return how far points are from their prediction by the others, and how far the polynomial is off between points.
 
-    Both in km, the first the median over the points, the second the largest: a point that is left out stands in a gap of
-    two steps, and the squared product of the distances to the nodes there against the one inside a step scales the
+    Both in km, the first the median over the points, the second the largest: a point that is left out stands in a gap
+    of two steps, and the squared product of the distances to the nodes there against the one inside a step scales the
     error.
     """
     at_points: list[Floats] = []

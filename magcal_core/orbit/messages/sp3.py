@@ -110,7 +110,7 @@ def _ephemeris(content: _Content) -> Ephemeris:
     ((name, positions),) = content.positions.items()
     system, behind_s = _SYSTEMS[content.system]
     rows = [row for row, _ in positions]
-    at: Times = np.array(content.epochs, "datetime64[ns]")[rows] + np.timedelta64(behind_s, "s")
+    at: Times = np.asarray(np.array(content.epochs, "datetime64[ns]")[rows] + np.timedelta64(behind_s, "s"), "M8[ns]")
     speeds = dict(content.velocities.get(name, []))
     v_km_s: NDArray[np.float64] | None = None
     if all(row in speeds for row in rows):

@@ -9,6 +9,7 @@ from click.testing import CliRunner, Result
 
 from app.cli.main import magcal, run
 from app.demo.mission import SESSIONS, simulated, tle_text
+from magcal_core.orbit.tle import checksum
 from magcal_core.samples import Samples
 
 OPTIONS = ["--robust", "none", "--noise-model", "none", "--time-offset", "none"]
@@ -98,3 +99,19 @@ def test_a_value_does_not_reach_the_terminal_raw(folder: Path, capsys: pytest.Ca
     assert r"line 5, column bz: not a number: '\x1b]0;owned\x07'" in said
     assert "\x1b" not in said
     assert "\x07" not in said
+
+
+def test_which_object_names_the_object_of_a_session(folder: Path) -> None:
+    first, second = (next(line for line in tle_text().splitlines() if line.startswith(f"{kind} ")) for kind in "12")
+    launch = ""
+    for number, ahead_deg in ((50001, -1.0), (50002, 0.0), (50003, 1.0)):
+        anomaly = (float(second[43:51]) + ahead_deg) % 360.0
+        lines = (f"1 {number}{first[7:68]}", f"2 {number}{second[7:43]}{anomaly:8.4f}{second[51:68]}")
+        launch += "".join(f"{line}{checksum(line)}\n" for line in lines)
+    (folder / "launch.tle").write_text(launch)
+    arguments = ["which-object", str(folder / "ms.csv"), "--tle", str(folder / "launch.tle"), "--time-format", "unix-ms"]
+    told = CliRunner().invoke(magcal, [*arguments, "--json"])
+    assert told.exit_code == 0, told.exception
+    record = json.loads(told.stdout)
+    assert (record["state"], record["objects"][0]["norad_id"]) == ("told", "50002")
+    assert "told: 50002 leaves" in CliRunner().invoke(magcal, arguments).stdout
