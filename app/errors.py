@@ -26,10 +26,11 @@ MOST_OF_A_PLACE: Final = 400
 """Characters of a member's name, and of the way to it, that an answer repeats."""
 QUOTED: Final = re.compile(
     r"""(?P<proposed>did\ you\ mean\ '[^']*'|mapped\ to\ '[^']*'|column\ map\ \{[^{}]*\}|--time-format\ "[^"]{1,100}")
-    |'(?:[^'\\]|\\.){3,}'|"(?:[^"\\]|\\.){3,}\"""",
+    |(?<!\w)'(?:[^'\\]|\\.){3,}'|"(?:[^"\\]|\\.){3,}\"""",
     re.VERBOSE,
 )
-"""A value as the core's messages quote it; names of columns, and forms of times, that it proposes stay."""
+"""A value as the core's messages quote it; names of columns, and forms of times, that it proposes stay, and so do
+apostrophes, which follow a letter."""
 
 
 class FaultBody(TypedDict):

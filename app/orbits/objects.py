@@ -11,7 +11,7 @@ from app.orbits.parsing import ParsedOrbit
 from app.satellites.tables import Satellite
 
 MOST_NAMED: Final = 3
-_COSPAR: Final = re.compile(r"(?:(\d{2})?(\d{2}))-?(\d{1,3})([A-Z]{1,3})")
+_COSPAR: Final = re.compile(r"(?:\d{2})?(\d{2})(?:-(\d{1,3})|(\d{3}))([A-Z]{1,3})")
 
 
 def difference(satellite: Satellite, details: Mapping[str, object]) -> str | None:
@@ -33,7 +33,7 @@ def _norad(text: str) -> str:
 def _cospar(text: str) -> str:
     """Return a designator without its form: ``2020-068H``, ``20068H`` and ``2020-68H`` are one."""
     match = _COSPAR.fullmatch(text.strip().upper())
-    return text.strip().upper() if match is None else f"{match[2]}{int(match[3]):03d}{match[4]}"
+    return text.strip().upper() if match is None else f"{match[1]}{int(match[2] or match[3]):03d}{match[4]}"
 
 
 def check_objects(satellite: Satellite, orbits: Sequence[ParsedOrbit]) -> None:

@@ -204,4 +204,7 @@ def test_a_session_tells_which_object_of_a_launch_it_is_of(api, satellite):
     answer = api.post(f"/sessions/{session['id']}/which-object", content=launch, headers=TEXT)
     assert answer.status_code == 200
     assert (answer.json()["state"], answer.json()["objects"][0]["norad_id"]) == ("told", "50002")
-    assert api.post("/sessions/0123456789abcdef0123456789abcdef/which-object", content=launch, headers=TEXT).status_code == 404
+    assert (
+        api.post("/sessions/0123456789abcdef0123456789abcdef/which-object", content=launch, headers=TEXT).status_code
+        == 404
+    )

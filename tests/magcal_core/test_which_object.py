@@ -45,7 +45,8 @@ def test_the_object_is_told_among_others_forty_kilometres_apart(samples, own):
 def test_spikes_do_not_tell_of_another_object(samples):
     rng = np.random.default_rng(7)
     h_nt = samples.h_nt.copy()
-    h_nt[rng.choice(len(h_nt), len(h_nt) // 10, replace=False)] += rng.normal(0.0, 2e4, 3)
+    rows = rng.choice(len(h_nt), len(h_nt) // 20, replace=False)
+    h_nt[rows] += rng.normal(0.0, 5e3, (len(rows), 3))
     found = which_object(Samples(t_utc=samples.t_utc, h_nt=h_nt), launch(60.0 / KM_PER_DEG))
     assert (found.state, found.objects[0].norad_id) == ("told", "50004")
 

@@ -109,7 +109,14 @@ def test_which_object_names_the_object_of_a_session(folder: Path) -> None:
         lines = (f"1 {number}{first[7:68]}", f"2 {number}{second[7:43]}{anomaly:8.4f}{second[51:68]}")
         launch += "".join(f"{line}{checksum(line)}\n" for line in lines)
     (folder / "launch.tle").write_text(launch)
-    arguments = ["which-object", str(folder / "ms.csv"), "--tle", str(folder / "launch.tle"), "--time-format", "unix-ms"]
+    arguments = [
+        "which-object",
+        str(folder / "ms.csv"),
+        "--tle",
+        str(folder / "launch.tle"),
+        "--time-format",
+        "unix-ms",
+    ]
     told = CliRunner().invoke(magcal, [*arguments, "--json"])
     assert told.exit_code == 0, told.exception
     record = json.loads(told.stdout)

@@ -99,7 +99,6 @@ def test_linear_interpolation_is_as_bad_as_it_says_where_the_velocities_do_not_a
     np.testing.assert_allclose(better.state_gcrf(t_utc)[0], want_km, rtol=0, atol=1e-6)
 
 
-
 @pytest.mark.parametrize(
     ("name", "frame"), [("EME2000", "EME2000"), ("TEME", "TEME"), ("ITRF2014", "ITRF"), ("ICRF", "GCRF")]
 )
