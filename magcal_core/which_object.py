@@ -4,8 +4,8 @@ Notes
 -----
 The session is calibrated with the orbits of each object in turn, its clock as it is: objects of one launch follow each
 other along one track, and an estimated clock would make one of the other. The objects are ranked by their residual,
-1.4826 times the median of its size. The first is told from the second where its residuals are the smaller ones in stretches of
-equal time beyond what chance does: the mean of the twelve differences is more than three times its standard error.
+1.4826 times the median of its size. The first is told from the others where its residuals are the smaller ones in
+stretches of equal time beyond what chance does: the mean of the twelve differences is more than three times its error.
 """
 
 from __future__ import annotations

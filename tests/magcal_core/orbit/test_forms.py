@@ -64,7 +64,7 @@ def sp3(
     ("version", "system", "velocities"), [("c", "GPS", True), ("d", "UTC", True), ("d", "GPS", False)]
 )
 def test_sp3_c_and_d_are_read(orbit, version, system, velocities):
-    """Millimetres in the file, points of a minute; SGP4's velocities miss the slope of its positions by millimetres a second."""
+    """Millimetres in the file, points of a minute; SGP4's velocities miss its slope by millimetres a second."""
     (source,) = parse_sources(sp3(orbit, version, system, velocities=velocities), "text/plain")
     assert (source.kind, source.name) == ("oem", "L49")
     assert source.epoch_utc == T0
@@ -136,7 +136,8 @@ def opm(orbit: Sgp4Orbit, *, is_xml: bool, system: str = "UTC", frame: str = "EM
     }
     if is_xml:
         cells = lambda rows: "".join(f"<{k}>{v!s}</{k}>" for k, v in rows.items())  # noqa: E731
-        body = f"<metadata>{cells(meta)}</metadata><data><stateVector>{cells({'EPOCH': epoch} | values)}</stateVector></data>"
+        state = f"<stateVector>{cells({'EPOCH': epoch} | values)}</stateVector>"
+        body = f"<metadata>{cells(meta)}</metadata><data>{state}</data>"
         return f'<?xml version="1.0"?><opm id="CCSDS_OPM_VERS"><body><segment>{body}</segment></body></opm>'
     lines = [f"{k} = {v}" for k, v in (meta | {"EPOCH": epoch}).items()]
     units = [f"{k} = {v!r} [{'km/s' if 'DOT' in k else 'km'}]" for k, v in values.items()]
@@ -285,12 +286,12 @@ def test_a_csv_row_of_another_width_than_its_header_is_refused():
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("<!DOCTYPE html><html><head><title>Log in | Space</title></head></html>", "an HTML page, 'Log in | Space', not an orbit"),
+        ("<!DOCTYPE html><html><head><title>Log in | Space</title></head></html>", "an HTML page, 'Log in | Space'"),
         ("<html><body>503 Service Unavailable</body></html>", "an HTML page, not an orbit"),
         ("No GP data found", "a server's message, not an orbit: 'No GP data found'"),
         ("429 Too Many Requests\n", "a server's message, not an orbit: '429 Too Many Requests'"),
         ("Invalid query: \"CATNR=x\" (CATNR must be an integer)", "a server's message, not an orbit"),
-        ('{"error": "You must be logged in to complete this action"}', "a server's message, not an orbit: 'You must be logged in"),
+        ('{"error": "You must be logged in to do this"}', "a server's message, not an orbit: 'You must be logged in"),
         ('[{"error": "Failed"}]', "a server's message, not an orbit: 'Failed'"),
         ('{"detail": "Not found."}', "a server's message, not an orbit: 'Not found.'"),
         ("CCSDS_AEM_VERS = 1.0\n", "an attitude message .* which is not read"),
