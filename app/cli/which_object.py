@@ -47,7 +47,7 @@ def command(
     The clock of the telemetry is taken as it is: objects of one launch follow each other along one track.
     """
     from magcal_core.orbit.sources import parse_sources
-    from magcal_core.reference import orbit_spans
+    from magcal_core.reference.columns import orbit_spans
     from magcal_core.which_object import which_object
 
     if corrected_with is not None:

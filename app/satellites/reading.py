@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from datetime import datetime
 
+from app.http.schemas import utc_text
 from app.satellites.tables import Magnetometer
-from app.schemas import utc_text
 from magcal_core.telemetry.time_forms import BOOT, TimeForm
 from magcal_core.telemetry.validity import Validity
 from magcal_core.units import COUNTS, nt_per

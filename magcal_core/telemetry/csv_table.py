@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pacsv
 
+from magcal_core.arrays import Floats
 from magcal_core.errors import InputError, TelemetryFormatError, TelemetryValueError
 from magcal_core.telemetry import yamcs
 from magcal_core.telemetry.columns import (
@@ -29,7 +30,7 @@ from magcal_core.telemetry.declared_times import declared_times
 from magcal_core.telemetry.export import is_text, iso_texts
 from magcal_core.telemetry.faults import FaultList
 from magcal_core.telemetry.long_table import LongColumns, long_columns, long_to_raw
-from magcal_core.telemetry.table import EMPTY_CELLS, Floats, RawTable, from_arrow
+from magcal_core.telemetry.table import EMPTY_CELLS, RawTable, from_arrow
 from magcal_core.telemetry.text import MAX_ROWS, check_lines, checked_text
 from magcal_core.telemetry.time_forms import is_time_key
 from magcal_core.telemetry.times import is_number, parse_times

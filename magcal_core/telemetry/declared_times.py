@@ -12,13 +12,13 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats, Nanoseconds
 from magcal_core.errors import InputError, TelemetryFormatError, TimeError
 from magcal_core.telemetry.arrow_numbers import floats_of, integers_of, is_text
 from magcal_core.telemetry.faults import FaultList
 from magcal_core.telemetry.time_forms import DATE_TIME, DAY_OF_YEAR, GPS_WEEK, UTC, WORDS, Count, TimeColumns
-from magcal_core.telemetry.times import NO_TIME, Nanoseconds, Spans, parse_iso_ns
+from magcal_core.telemetry.times import NO_TIME, Spans, parse_iso_ns
 
-Floats = NDArray[np.float64]
 Where = Callable[[int], str]
 """Number of a row, from 0 -> its place as a fault names it."""
 

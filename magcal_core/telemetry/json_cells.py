@@ -10,13 +10,14 @@ from typing import Final
 import numpy as np
 import pyarrow as pa
 
+from magcal_core.arrays import Floats, Nanoseconds
 from magcal_core.errors import TelemetryFormatError, TelemetryValueError, TimeError
 from magcal_core.telemetry.arrow_numbers import floats_of
 from magcal_core.telemetry.columns import ColumnPlan
 from magcal_core.telemetry.declared_times import declared_times
 from magcal_core.telemetry.faults import FaultList
-from magcal_core.telemetry.table import Floats, RawTable
-from magcal_core.telemetry.times import Nanoseconds, Spans, epoch_ns, parse_times
+from magcal_core.telemetry.table import RawTable
+from magcal_core.telemetry.times import Spans, epoch_ns, parse_times
 
 Cells = Sequence[object]
 

@@ -10,14 +10,13 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats, Nanoseconds
 from magcal_core.errors import TelemetryFormatError, TimeError, TimeZoneMissingError
 from magcal_core.telemetry.arrow_numbers import floats_of, is_numeric, is_text, unpacked
 from magcal_core.telemetry.columns import ColumnMap, ColumnPlan, TableForm
 from magcal_core.telemetry.declared_times import declared_times
 from magcal_core.telemetry.faults import FaultList
-from magcal_core.telemetry.times import NO_TIME, Nanoseconds, Spans, epoch_ns, parse_times
-
-Floats = NDArray[np.float64]
+from magcal_core.telemetry.times import NO_TIME, Spans, epoch_ns, parse_times
 
 EMPTY_CELLS: Final = ("", "NA", "N/A", "n/a", "#N/A", "#N/A N/A", "#VALUE!", "-", "--", "null", "NULL", "None")
 """Texts that stand for an empty cell; ``nan`` and ``inf`` in any case are numbers that are not finite."""

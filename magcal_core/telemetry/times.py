@@ -9,10 +9,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.arrays import Nanoseconds
 from magcal_core.errors import InputError, OptionError, TimeError, TimeZoneMissingError
 from magcal_core.telemetry.faults import FaultList
-
-Nanoseconds = NDArray[np.int64]
 
 Spans = tuple[tuple[np.datetime64, np.datetime64], ...]
 """Stretches of time, UTC, in which the orbits at hand are good."""

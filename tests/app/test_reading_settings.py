@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from app.demo.mission import tle_text
+from magcal_core.simulation.dekart_mission import tle_text
 from magcal_core.telemetry import read_telemetry
 
 N = 30

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from app.demo.mission import SESSIONS, simulated, tle_text
 from magcal_core.errors import InputError
+from magcal_core.orbit.messages.tle import checksum
 from magcal_core.orbit.sources import OrbitSource, parse_sources
-from magcal_core.orbit.tle import checksum
 from magcal_core.samples import Samples
+from magcal_core.simulation.dekart_mission import SESSIONS, simulated, tle_text
 from magcal_core.which_object import which_object
 
 FIRST, SECOND = (next(line for line in tle_text().splitlines() if line.startswith(f"{kind} ")) for kind in "12")

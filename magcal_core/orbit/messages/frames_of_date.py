@@ -1,4 +1,4 @@
-"""Frames that messages name: those of `magcal_core.orbit.frames`, and frames of date, which are turned into them.
+"""Frames that messages name: those of `magcal_core.orbit.earth.frames`, and frames of date, which are turned into them.
 
 Notes
 -----
@@ -15,12 +15,10 @@ from typing import Final
 
 import erfa
 import numpy as np
-from numpy.typing import NDArray
 
-from magcal_core.orbit.frames import Frame, polar_motion_matrix
-from magcal_core.orbit.timescales import Times, julian_tt
-
-Floats = NDArray[np.float64]
+from magcal_core.arrays import Floats, Times
+from magcal_core.orbit.earth.frames import Frame, polar_motion_matrix
+from magcal_core.orbit.earth.timescales import julian_tt
 
 FRAME_OF_NAME: Final[Mapping[str, Frame]] = {
     "GCRF": "GCRF", "ICRF": "GCRF", "GCRS": "GCRF", "EME2000": "EME2000", "J2000": "EME2000", "TEME": "TEME",

@@ -17,9 +17,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.orbit.interpolation import StateTable
+from magcal_core.arrays import Floats
+from magcal_core.numerics.interpolation import StateTable
 
-Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 BETTER_KM: Final = 0.3

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats, Times
 from magcal_core.errors import OrbitFormatError
-from magcal_core.orbit.interpolation import StateTable
-from magcal_core.orbit.timescales import Times, nanoseconds
-
-Floats = NDArray[np.float64]
+from magcal_core.numerics.interpolation import StateTable
+from magcal_core.orbit.earth.timescales import nanoseconds
 
 _SLOPE_DEGREE = 8
 """Of the polynomial whose slope is the velocity where a file has none."""

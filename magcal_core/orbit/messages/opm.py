@@ -8,12 +8,12 @@ from typing import Final
 import numpy as np
 
 from magcal_core.errors import Fault, OrbitFormatError, TimeError
-from magcal_core.orbit.elements import elements_from_state
-from magcal_core.orbit.epochs import TIME_SYSTEMS, parse_epoch, to_utc
-from magcal_core.orbit.frames import FRAMES, Frame
-from magcal_core.orbit.kvn import find_all, kvn_lines, leaves, parse_xml
+from magcal_core.orbit.earth.frames import FRAMES, Frame
+from magcal_core.orbit.messages.elements import elements_from_state
+from magcal_core.orbit.messages.epochs import TIME_SYSTEMS, parse_epoch, to_utc
 from magcal_core.orbit.messages.frames_of_date import in_known_frame, known_frames
-from magcal_core.orbit.state import StateVector
+from magcal_core.orbit.messages.kvn import find_all, kvn_lines, leaves, parse_xml
+from magcal_core.orbit.messages.state import StateVector
 
 _STATE: Final = ("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")
 _KEYS: Final = ("REF_FRAME", "TIME_SYSTEM", "EPOCH", *_STATE)

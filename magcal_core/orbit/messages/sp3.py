@@ -10,10 +10,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.arrays import Times
 from magcal_core.errors import Fault, OrbitFormatError
-from magcal_core.orbit.epochs import to_utc
+from magcal_core.orbit.messages.epochs import to_utc
 from magcal_core.orbit.messages.oem_text import Ephemeris
-from magcal_core.orbit.timescales import Times
 
 FIRST_LINE: Final = re.compile(r"#([a-z])([PV ])\d{4}")
 READ_VERSIONS: Final = "cd"

@@ -8,9 +8,9 @@ import pytest
 from click.testing import CliRunner, Result
 
 from app.cli.main import magcal, run
-from app.demo.mission import SESSIONS, simulated, tle_text
-from magcal_core.orbit.tle import checksum
+from magcal_core.orbit.messages.tle import checksum
 from magcal_core.samples import Samples
+from magcal_core.simulation.dekart_mission import SESSIONS, simulated, tle_text
 
 OPTIONS = ["--robust", "none", "--noise-model", "none", "--time-offset", "none"]
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from magcal_core.errors import EncodingError, InputError, OrbitFormatError, TleFormatError
-from magcal_core.orbit.frames import convert_state
+from magcal_core.orbit.earth.frames import convert_state
 from magcal_core.orbit.messages.forms import FORMS
 from magcal_core.orbit.messages.frames_of_date import OF_DATE, in_known_frame
-from magcal_core.orbit.sgp4 import Sgp4Orbit
+from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
 from magcal_core.orbit.sources import OrbitSource, parse_sources
 
 T0 = np.datetime64("2022-02-19T22:00:00", "ns")

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from magcal_core.calibration.error_budget import ReferenceSource, error_budget
 from magcal_core.errors import ModelRangeError, OrbitFormatError
 from magcal_core.field.igrf import Igrf
-from magcal_core.orbit.interpolation import StateTable
+from magcal_core.numerics.interpolation import StateTable
 from magcal_core.orbit.messages.interpolation_check import best_interpolation
-from magcal_core.orbit.oem import parse_oem
-from magcal_core.reference import with_reference
+from magcal_core.orbit.messages.oem import parse_oem
+from magcal_core.reference.columns import with_reference
+from magcal_core.reference.error_budget import ReferenceSource, error_budget
 from magcal_core.samples import Samples
 
 MU = 398_600.4418
