@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from magcal_core.sensor.model import SensorModel as SensorModel
     from magcal_core.simulation.telemetry import simulate as simulate
     from magcal_core.telemetry import read_samples as read_samples
+    from magcal_core.which_object import which_object as which_object
 
 _HOME: Final[dict[str, str]] = {
     "Calibration": "calibration.result",
@@ -56,6 +57,7 @@ _HOME: Final[dict[str, str]] = {
     "refit": "calibration.refit.refit",
     "simulate": "simulation.telemetry",
     "trend": "calibration.sessions.trend",
+    "which_object": "which_object",
     "with_reference": "reference.columns",
 }
 

@@ -134,6 +134,7 @@ def _source(referenced: Referenced, estimate: _Estimate) -> ReferenceSource:
         referenced.field,
         estimate.estimator.is_vector,
         None if clock is None else clock.offset_error_s,
+        referenced.report.interpolation_km,
     )
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from typing import Final
 
+import numpy as np
 from sqlalchemy import select
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
@@ -27,9 +28,15 @@ MOST_EPHEMERIDES: Final = 400
 """Ephemerides, of some megabytes each, that one calibration takes."""
 MOST_STATES: Final = 20_000
 """TLEs, OMMs and state vectors that one calibration takes: four a day for thirteen years."""
+MOST_INSTANTS: Final = 400
+"""Epochs that a time which cannot be read is held against: the newest ones."""
 NEAR_DAYS: Final = 1.0
 ROWS_AT_ONCE: Final = 500
 """Orbits that one statement asks for."""
+
+
+def _core_time(instant: datetime) -> np.datetime64:
+    return np.datetime64(instant.astimezone(UTC).replace(tzinfo=None), "ns")
 
 
 class OrbitRepository:
@@ -93,6 +100,12 @@ class OrbitRepository:
         if query.format is not None:
             statement = statement.where(OrbitRow.format == query.format)
         return fetch_page(self.session, statement, (OrbitRow.epoch, OrbitRow.id), query)
+
+    def instants(self) -> list[tuple[np.datetime64, np.datetime64 | None]]:
+        """Return epoch, and end of an ephemeris, of the satellite's orbits, the newest first."""
+        statement = select(OrbitRow.epoch, OrbitRow.until).where(OrbitRow.satellite_id == self.satellite_id)
+        rows = self.session.execute(statement.order_by(OrbitRow.epoch.desc()).limit(MOST_INSTANTS))
+        return [(_core_time(epoch), None if until is None else _core_time(until)) for epoch, until in rows]
 
     def around(self, begin: datetime, end: datetime, margin_days: float) -> list[OrbitRow]:
         """Return every orbit that may serve data from ``begin`` to ``end``, in the order of their epochs.

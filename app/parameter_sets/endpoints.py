@@ -30,7 +30,7 @@ from app.parameter_sets.schemas import (
 from app.parameter_sets.tables import ParameterSet
 from app.records.arrow import from_bytes
 from app.satellites.tables import Magnetometer
-from app.sessions.sensor_reading import PLAIN, SensorReading
+from app.sessions.sensor_reading import PLAIN, SensorReading, in_axes_of
 from app.settings import Settings
 from app.storage.store import residuals_key
 from magcal_core.samples import Samples
@@ -143,7 +143,7 @@ def _row_and_sensor(parameter_set_id: str, caller: Caller, db: Db) -> tuple[Para
     with db.read() as session:
         row = ParameterSetRepository(session, caller).get(parameter_set_id)
         sensor = session.get_one(Magnetometer, (row.satellite_id, row.magnetometer_id))
-        return row, SensorReading.of(sensor)
+        return row, in_axes_of(row.record, SensorReading.of(sensor))
 
 
 def _applied(row: ParameterSet, sensor: SensorReading, upload: Upload, settings: Settings, *, inverse: bool) -> Samples:

@@ -69,10 +69,23 @@ class Parsed:
     media_type: str
     telemetry: Telemetry
     format: str
+    reading: dict[str, object] | None = None
 
     @classmethod
-    def of(cls, upload: Upload, telemetry: Telemetry, form: str, store: Store, raw: Packed | None = None) -> Parsed:
-        """Return the upload with its samples, encoded; ``raw`` where its bytes have been packed already."""
+    def of(
+        cls,
+        upload: Upload,
+        telemetry: Telemetry,
+        form: str,
+        store: Store,
+        raw: Packed | None = None,
+        *,
+        reading: dict[str, object] | None = None,
+    ) -> Parsed:
+        """Return the upload with its samples, encoded; ``raw`` where its bytes have been packed already.
+
+        ``reading`` is how its bytes were read.
+        """
         columns = encode(telemetry.samples)
         return cls(
             store.pack(upload.content, upload.sha256) if raw is None else raw,
@@ -80,6 +93,7 @@ class Parsed:
             upload.media_type[:200],
             telemetry,
             form,
+            reading,
         )
 
     def added_to(self, row: TelemetrySession | None) -> dict[str, object]:
@@ -142,6 +156,7 @@ class Writing:
                 "media_type": parsed.media_type,
                 "samples": len(parsed.telemetry.samples),
                 "columns_sha256": parsed.columns.sha256,
+                "reading": parsed.reading,
                 "created_at": utc_now(),
             }
         )
@@ -260,6 +275,23 @@ class SessionRepository:
         writing = Writing()
         writing.add(row, len(chunks), parsed)
         writing.write(self.session, store)
+
+    def read_as(self, row: TelemetrySession, anew: Sequence[Parsed], store: Store) -> None:
+        """Replace what was read from the chunks of a session by ``anew``, one for each of them."""
+        if row.raw_removed_at is not None:
+            raise ExpiredError("the telemetry is past its satellite's retention and has been removed")
+        chunks = self.chunks(row.id)
+        if [chunk.sha256 for chunk in chunks] != [parsed.raw.sha256 for parsed in anew]:
+            raise ConflictError("the session was given another chunk meanwhile")
+        for number, (chunk, parsed) in enumerate(zip(chunks, anew, strict=True)):
+            for name, value in parsed.added_to(row if number else None).items():
+                setattr(row, name, value)
+            key = columns_key(row.id, chunk.sequence)
+            if chunk.columns_sha256 != parsed.columns.sha256:
+                store.delete(self.session, key)
+                chunk.columns_sha256 = store.put(self.session, key, parsed.columns)
+            chunk.samples, chunk.reading = len(parsed.telemetry.samples), parsed.reading
+        record_event(self.session, self.caller, "session.read_again", row.id, row.satellite_id)
 
     def close(self, row: TelemetrySession) -> None:
         """Close an open session; its identity is then that of its chunks."""

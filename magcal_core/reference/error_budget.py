@@ -70,6 +70,7 @@ class ReferenceSource:
     field : the model that the field was computed with.
     is_vector : whether components count, or |B| only.
     clock_error_s : standard error of an estimated clock offset, s; None where none was estimated.
+    interpolation_km : how far an ephemeris is off between its points at the most, km.
     """
 
     orbit_model: str
@@ -77,6 +78,7 @@ class ReferenceSource:
     field: FieldModel
     is_vector: bool = False
     clock_error_s: float | None = None
+    interpolation_km: float = 0.0
 
 
 def error_budget(
@@ -129,6 +131,13 @@ def _positional(samples: Samples, source: ReferenceSource) -> Iterator[BudgetIte
     yield BudgetItem(
         "orbit_along_track", found.along * along_km, f"{along_km:.2g} km ({how}) x {found.along:.2g} nT/km"
     )
+    if source.interpolation_km > 0.0:
+        every = float(np.sqrt((found.along**2 + found.radial**2 + found.across**2) / 3.0))
+        yield BudgetItem(
+            "orbit_interpolation",
+            every * source.interpolation_km / np.sqrt(2.0),
+            f"up to {source.interpolation_km:.2g} km between the points of the ephemeris x {every:.2g} nT/km",
+        )
     others = float(np.hypot(found.radial * radial_km, found.across * across_km))
     yield BudgetItem(
         "orbit_radial_and_cross_track",

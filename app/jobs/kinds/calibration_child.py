@@ -43,6 +43,7 @@ def calibrate(work: object, report: Report) -> Outcome:
     if not isinstance(record, dict):
         raise WrongKindError("a calibration's record is not a mapping")
     _complete_provenance(record["provenance"], work)
+    _name_strangers(record, work)
     return Outcome(record, _blobs(found))
 
 
@@ -73,6 +74,17 @@ def _complete_provenance(provenance: dict[str, object], work: CalibrationWork) -
     orbits = provenance.get("orbits")
     for orbit in orbits if isinstance(orbits, list) else []:
         orbit["id"] = work.orbits[orbit.pop("index")][0]
+
+
+def _name_strangers(record: dict[str, object], work: CalibrationWork) -> None:
+    """Add a warning of each orbit that was used and is of another object than the satellite."""
+    provenance, warnings = record["provenance"], record["warnings"]
+    used = provenance.get("orbits") if isinstance(provenance, dict) else None
+    if isinstance(warnings, list) and isinstance(used, list):
+        names = [str(orbit["id"]) for orbit in used]
+        warnings += [
+            f"orbit_of_another_object: orbit {one}: {work.strangers[one]}" for one in names if one in work.strangers
+        ]
 
 
 def warm(_work: object, _report: Report) -> Outcome:
