@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from magcal_core.calibration.refit.refit import RefitOptions as RefitOptions
     from magcal_core.calibration.refit.refit import refit as refit
     from magcal_core.calibration.result import Calibration as Calibration
+    from magcal_core.calibration.sessions.trend import Trend as Trend
+    from magcal_core.calibration.sessions.trend import trend as trend
+    from magcal_core.calibration.terms.bias_path import bias_path as bias_path
+    from magcal_core.calibration.terms.bias_steps import bias_steps as bias_steps
     from magcal_core.field.dipole import DirectDipole as DirectDipole
     from magcal_core.field.igrf import Igrf as Igrf
     from magcal_core.field.models import field_model as field_model
@@ -43,6 +47,9 @@ _HOME: Final[dict[str, str]] = {
     "SensorModel": "sensor.model",
     "Sgp4Orbit": "orbit.propagators.sgp4",
     "StateVector": "orbit.messages.state",
+    "Trend": "calibration.sessions.trend",
+    "bias_path": "calibration.terms.bias_path",
+    "bias_steps": "calibration.terms.bias_steps",
     "calibrate": "pipeline",
     "field_model": "field.models",
     "parse_orbits": "orbit.sources",
@@ -50,6 +57,7 @@ _HOME: Final[dict[str, str]] = {
     "refit": "calibration.refit.refit",
     "simulate": "simulation.telemetry",
     "which_object": "which_object",
+    "trend": "calibration.sessions.trend",
     "with_reference": "reference.columns",
 }
 

@@ -23,6 +23,7 @@ COMMANDS: Final[dict[str, str]] = {
     "simulate": "Simulate the telemetry of a tumbling satellite, with its truth beside it.",
     "push": "Send telemetry to a magcal service; safe to repeat.",
     "which-object": "Tell of which object of a launch telemetry is, by the residuals that each one's orbit leaves.",
+    "trend": "Parameters over many sets: where they are now, how long the active set stays good.",
     "report": "The report of a parameter set as one HTML file, or PDF.",
     "convert": "Convert parameters between conventions, loss-free.",
     "rom": "Simulate attitude control by magnetometer, gyros and wheels.",

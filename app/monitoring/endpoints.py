@@ -9,7 +9,7 @@ from pydantic import Field
 from sqlalchemy.orm import Session
 from starlette.concurrency import run_in_threadpool
 
-from app.access.authentication import Reader
+from app.access.authentication import Reader, authenticate
 from app.access.caller import SYSTEM, Caller
 from app.errors import NotFoundError
 from app.http.dependencies import Blobs, Config, Db
@@ -227,7 +227,7 @@ async def tell_object(
     """Tell of which object a session is, by the residuals that the orbits of each leave; nothing is kept."""
     columns = await run_in_threadpool(_columns, session_id, caller, db, store)
     async with request.app.state.uploads.place(caller):
-        upload = await receive(request, config)
+        upload = await receive(request, config, authenticate)
         found = await run_in_threadpool(_told, columns, upload, query.max_orbit_age_days)
     return WhichObjectRead.model_validate(found.to_dict())
 
