@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from magcal_core.calibration.sessions.monitoring import ActiveSet
     from magcal_core.samples import Samples
     from magcal_core.telemetry import Telemetry
-    from magcal_core.telemetry.times import Spans
+    from magcal_core.telemetry.iso_times import Spans
 
 STDIN: Final = "-"
 

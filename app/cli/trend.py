@@ -29,7 +29,7 @@ class Instant(click.ParamType[int]):
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> int:
         """Return the nanoseconds of ``value``."""
-        from magcal_core.telemetry.times import parse_iso_ns
+        from magcal_core.telemetry.iso_times import parse_iso_ns
 
         if isinstance(value, int):
             return value

@@ -25,7 +25,7 @@ from app.parameter_sets.schemas import ParametersRead, TableFormat
 from app.parameter_sets.tables import ParameterSet
 from app.records.json_numbers import without_nan
 from app.satellites.repository import SatelliteRepository
-from magcal_core.telemetry.times import parse_iso_ns
+from magcal_core.telemetry.iso_times import parse_iso_ns
 
 if TYPE_CHECKING:
     from magcal_core.calibration.sessions.trend import Trend

@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
 
-from app.access.authentication import Operator, Reader
+from app.access.authentication import Reader
 from app.access.caller import Caller
 from app.http.dependencies import Blobs, Db
 from app.http.schemas import Page, Slug, core_times
@@ -23,7 +23,6 @@ from app.sessions.schemas import (
     SessionRead,
 )
 from app.sessions.tables import TelemetrySession
-from app.uploads.endpoints import Ingests
 from magcal_core.telemetry import write_samples
 
 router = APIRouter(route_class=StrictJsonRoute, tags=["sessions"])
@@ -46,12 +45,6 @@ def require_satellite(satellite_id: str, caller: Caller, db: Db) -> None:
     """Raise `NotFoundError` where the caller reaches no such satellite."""
     with db.read() as session:
         SatelliteRepository(session, caller).get(satellite_id)
-
-
-@router.post("/sessions/{session_id}/read-again")
-def read_again(session_id: str, caller: Operator, ingest: Ingests) -> SessionRead:
-    """Read the bytes of a session again, as its magnetometer is read now."""
-    return session_read(ingest.read_again(caller, session_id))
 
 
 @router.get("/sessions")

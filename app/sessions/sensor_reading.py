@@ -25,7 +25,7 @@ from magcal_core.telemetry.columns import (
     REFERENCE_MAGNITUDE,
     TIME,
 )
-from magcal_core.telemetry.times import Spans
+from magcal_core.telemetry.iso_times import Spans
 from magcal_core.units import nt_per
 
 UNTOLD: Final = frozenset({"", "application/octet-stream", "text/plain", "application/gzip", "application/zstd"})

@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from app.access.authentication import Station, authenticate
+from app.access.authentication import Operator, Station, authenticate
 from app.access.caller import Caller
 from app.access.idempotency import KeyHeader
 from app.http.dependencies import Config, Db
@@ -85,6 +85,12 @@ async def append_samples(
     async with request.app.state.uploads.place(caller):
         upload = await receive(request, config, authenticate)
         return session_read(await run_in_threadpool(ingest.append, caller, session_id, upload, query.epoch_text))
+
+
+@router.post("/sessions/{session_id}/read-again")
+def read_again(session_id: str, caller: Operator, ingest: Ingests) -> SessionRead:
+    """Read the bytes of a session again, as its magnetometer is read now."""
+    return session_read(ingest.read_again(caller, session_id))
 
 
 @router.post("/sessions/{session_id}/close")

@@ -28,8 +28,8 @@ from magcal_core.orbit.earth.timescales import nanoseconds
 from magcal_core.orbit.messages.interpolation_check import BETTER_KM, REFUSED_KM
 from magcal_core.reference.field_along_orbit import Part, field_of_parts, positions_km
 from magcal_core.samples import SampleFlag, Samples
+from magcal_core.telemetry.iso_times import Spans
 from magcal_core.telemetry.time_guesses import on_distance, spans_of
-from magcal_core.telemetry.times import Spans
 
 TELEMETRY_REFERENCE: Final = "telemetry-reference"
 TELEMETRY_POSITION: Final = "telemetry-position"

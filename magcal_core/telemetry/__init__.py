@@ -18,6 +18,7 @@ from magcal_core.telemetry.columns import ColumnMap, TableForm
 from magcal_core.telemetry.compression import MAX_DECOMPRESSED_BYTES, decompress
 from magcal_core.telemetry.csv_table import read_csv, write_csv
 from magcal_core.telemetry.export import samples_table
+from magcal_core.telemetry.iso_times import Spans
 from magcal_core.telemetry.json_columns import read_json_columns, write_json_columns
 from magcal_core.telemetry.ndjson import read_ndjson, write_ndjson
 from magcal_core.telemetry.parquet import read_parquet, write_parquet
@@ -26,7 +27,6 @@ from magcal_core.telemetry.quality import Quality as Quality
 from magcal_core.telemetry.table import Reader
 from magcal_core.telemetry.text import MAX_ROWS
 from magcal_core.telemetry.time_forms import TimeForm
-from magcal_core.telemetry.times import Spans
 from magcal_core.telemetry.validity import Validity
 
 READERS: Final[Mapping[str, Reader]] = {

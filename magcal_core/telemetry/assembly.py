@@ -22,9 +22,10 @@ from magcal_core.telemetry.columns import (
     STANDARD,
 )
 from magcal_core.telemetry.faults import FaultList
+from magcal_core.telemetry.iso_times import NO_TIME
 from magcal_core.telemetry.quality import Quality
 from magcal_core.telemetry.table import RawTable
-from magcal_core.telemetry.times import NO_TIME, check_plausible, to_utc_ns
+from magcal_core.telemetry.times import check_plausible, to_utc_ns
 from magcal_core.units import nt_per
 
 

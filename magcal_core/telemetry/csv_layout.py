@@ -15,8 +15,8 @@ from typing import Final
 
 from magcal_core.errors import TelemetryFormatError
 from magcal_core.telemetry.faults import quoted
+from magcal_core.telemetry.iso_times import is_number, iso_match
 from magcal_core.telemetry.table import EMPTY_CELLS
-from magcal_core.telemetry.times import is_number, iso_match
 
 SEPARATORS: Final = ",;\t"
 MOST_LINES_ABOVE: Final = 200

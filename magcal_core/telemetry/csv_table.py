@@ -29,11 +29,12 @@ from magcal_core.telemetry.csv_layout import Layout, find_layout
 from magcal_core.telemetry.declared_times import declared_times
 from magcal_core.telemetry.export import is_text, iso_texts
 from magcal_core.telemetry.faults import FaultList
+from magcal_core.telemetry.iso_times import is_number
 from magcal_core.telemetry.long_table import LongColumns, long_columns, long_to_raw
 from magcal_core.telemetry.table import EMPTY_CELLS, RawTable, from_arrow
 from magcal_core.telemetry.text import MAX_ROWS, check_lines, checked_text
 from magcal_core.telemetry.time_forms import is_time_key
-from magcal_core.telemetry.times import is_number, parse_times
+from magcal_core.telemetry.times import parse_times
 
 TABLE: Final = "CSV table"
 _BLOCK_BYTES: Final = 1 << 20

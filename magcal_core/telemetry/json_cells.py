@@ -16,8 +16,9 @@ from magcal_core.telemetry.arrow_numbers import floats_of
 from magcal_core.telemetry.columns import ColumnPlan
 from magcal_core.telemetry.declared_times import declared_times
 from magcal_core.telemetry.faults import FaultList
+from magcal_core.telemetry.iso_times import Spans
 from magcal_core.telemetry.table import RawTable
-from magcal_core.telemetry.times import Spans, epoch_ns, parse_times
+from magcal_core.telemetry.times import epoch_ns, parse_times
 
 Cells = Sequence[object]
 

@@ -16,7 +16,8 @@ from magcal_core.telemetry.arrow_numbers import floats_of, is_numeric, is_text, 
 from magcal_core.telemetry.columns import ColumnMap, ColumnPlan, TableForm
 from magcal_core.telemetry.declared_times import declared_times
 from magcal_core.telemetry.faults import FaultList
-from magcal_core.telemetry.times import NO_TIME, Spans, epoch_ns, parse_times
+from magcal_core.telemetry.iso_times import NO_TIME, Spans
+from magcal_core.telemetry.times import epoch_ns, parse_times
 
 EMPTY_CELLS: Final = ("", "NA", "N/A", "n/a", "#N/A", "#N/A N/A", "#VALUE!", "-", "--", "null", "NULL", "None")
 """Texts that stand for an empty cell; ``nan`` and ``inf`` in any case are numbers that are not finite."""

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from magcal_core.errors import InputError, OptionError
-from magcal_core.telemetry.times import Spans, parse_iso_ns
+from magcal_core.telemetry.iso_times import Spans, parse_iso_ns
 
 _S: Final = 1_000_000_000
 _DAY: Final = 86_400 * _S

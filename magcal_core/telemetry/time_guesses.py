@@ -11,9 +11,9 @@ from typing import Final
 import numpy as np
 
 from magcal_core.errors import InputError
-from magcal_core.telemetry.declared_times import day_of_year_ns
+from magcal_core.telemetry.days_of_year import day_of_year_ns
+from magcal_core.telemetry.iso_times import EARLIEST_NS, LATEST_NS, Spans
 from magcal_core.telemetry.time_forms import BOOT, COUNTS, DAY_OF_YEAR, WORDS
-from magcal_core.telemetry.times import EARLIEST_NS, LATEST_NS, Spans
 
 NEAR_DAYS: Final = 3.0
 """A form is named where it puts the times this near to the orbit, days."""

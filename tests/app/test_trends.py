@@ -16,7 +16,7 @@ from app.jobs.tables import Job
 from app.parameter_sets.tables import ParameterSet
 from app.storage.database import new_id, utc_now
 from magcal_core.calibration.sessions.trend import trend
-from magcal_core.telemetry.times import parse_iso_ns
+from magcal_core.telemetry.iso_times import parse_iso_ns
 from tests.magcal_core.calibration.sessions.histories import history, nine
 
 SENSOR = {"satellite_id": "trending", "magnetometer_id": "mgm"}

@@ -37,7 +37,7 @@ from magcal_core.calibration.sessions.trend_sets import Chosen, DatedSet, HasRec
 from magcal_core.calibration.sessions.trend_states import NAMES, NS_A_YEAR, Smoothed, TrendStates
 from magcal_core.errors import BeyondHistoryError, InputError, OptionError, TimeError
 from magcal_core.sensor.parameters import Parameters
-from magcal_core.telemetry.times import parse_iso_ns
+from magcal_core.telemetry.iso_times import parse_iso_ns
 from magcal_core.units import utc_text
 
 Moment = str | datetime | np.datetime64

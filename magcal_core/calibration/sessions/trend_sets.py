@@ -11,7 +11,7 @@ import numpy as np
 from magcal_core.arrays import Floats
 from magcal_core.errors import InputError, OptionError, TimeError, TooFewSetsError
 from magcal_core.sensor.regressors import is_step
-from magcal_core.telemetry.times import parse_iso_ns
+from magcal_core.telemetry.iso_times import parse_iso_ns
 
 FEWEST: Final = 3
 """With two sets the prior decides how far a forecast may be off."""
