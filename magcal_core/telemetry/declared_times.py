@@ -60,8 +60,6 @@ def declared_times(
 
 def _advice(cells: list[str | None], t_ns: Nanoseconds, spans: Spans) -> str:
     """Return which pattern the first time that could not be read has, "" where none that is known."""
-    from magcal_core.telemetry.time_guesses import on_text
-
     faulty = (text for text, stamp in zip(cells, t_ns, strict=True) if text is not None and stamp == NO_TIME)
     return on_text(next(faulty, ""), spans)
 

@@ -76,8 +76,6 @@ def _advice(error: InputError, text: str, spans: Spans) -> str:
         return "where such times are UTC: --time-format utc"
     if iso_match(text) is not None or is_number(text):
         return ""
-    from magcal_core.telemetry.time_guesses import on_text
-
     return on_text(text, spans)
 
 
@@ -105,8 +103,6 @@ def epoch_ns(seconds: NDArray[np.floating] | NDArray[np.integer], spans: Spans =
 def _refuse_other_forms(typical: float, spans: Spans) -> None:
     if 0 <= typical * _NS < LATEST_NS and typical > 1e7:
         return
-    from magcal_core.telemetry.time_guesses import on_number
-
     guess = on_number(typical, spans)
     raise TimeError(
         f"the times are no seconds since 1970-01-01 between 1972 and 2099 (a typical one is {typical:.15g})"
