@@ -19,6 +19,7 @@ from magcal_core.telemetry.day_of_year import day_of_year_ns, year_and_day_ns
 from magcal_core.telemetry.faults import FaultList
 from magcal_core.telemetry.iso_times import NO_TIME, Spans, parse_iso_ns
 from magcal_core.telemetry.time_forms import DATE_TIME, DAY_OF_YEAR, GPS_WEEK, UTC, WORDS, Count, TimeColumns
+from magcal_core.telemetry.time_guesses import on_text
 
 Where = Callable[[int], str]
 """Number of a row, from 0 -> its place as a fault names it."""

@@ -20,6 +20,7 @@ from magcal_core.telemetry.iso_times import (
     iso_match,
     parse_iso_ns,
 )
+from magcal_core.telemetry.time_guesses import on_number, on_text
 
 TIME_SCALES: Final = ("utc", "gps")
 """Scales that telemetry may declare; with ``gps``, numbers are seconds since 1980-01-06."""
