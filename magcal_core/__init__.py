@@ -13,8 +13,12 @@ if TYPE_CHECKING:
     from magcal_core.calibration.refitting import RefitOptions as RefitOptions
     from magcal_core.calibration.refitting import refit as refit
     from magcal_core.calibration.result import Calibration as Calibration
+    from magcal_core.field.coefficient_files import read_field_file as read_field_file
+    from magcal_core.field.coefficients import CoefficientFile as CoefficientFile
     from magcal_core.field.dipole import DirectDipole as DirectDipole
     from magcal_core.field.igrf import Igrf as Igrf
+    from magcal_core.field.index import Index as Index
+    from magcal_core.field.index_files import read_index as read_index
     from magcal_core.field.models import field_model as field_model
     from magcal_core.orbit.numerical import NumericalOrbit as NumericalOrbit
     from magcal_core.orbit.oem import OemOrbit as OemOrbit
@@ -32,9 +36,11 @@ if TYPE_CHECKING:
 _HOME: Final[dict[str, str]] = {
     "Calibration": "calibration.result",
     "CalibrationOptions": "pipeline",
+    "CoefficientFile": "field.coefficients",
     "DirectDipole": "field.dipole",
     "FitMoments": "calibration.moments",
     "Igrf": "field.igrf",
+    "Index": "field.index",
     "NumericalOrbit": "orbit.numerical",
     "OemOrbit": "orbit.oem",
     "RefitOptions": "calibration.refitting",
@@ -45,6 +51,8 @@ _HOME: Final[dict[str, str]] = {
     "calibrate": "pipeline",
     "field_model": "field.models",
     "parse_orbits": "orbit.sources",
+    "read_field_file": "field.coefficient_files",
+    "read_index": "field.index_files",
     "read_samples": "telemetry",
     "refit": "calibration.refitting",
     "simulate": "simulation",

@@ -38,6 +38,8 @@ class SampleFlag(enum.IntFlag):
     """the quaternion is missing or not a unit quaternion"""
     NO_HOUSEKEEPING = 256
     """a housekeeping column has no value here"""
+    NOT_QUIET = 512
+    """only quiet hours were asked for, and this one is not known to be quiet"""
 
 
 EXCLUDED: Final = (
@@ -46,6 +48,7 @@ EXCLUDED: Final = (
     | SampleFlag.CONFLICTING_TIME
     | SampleFlag.SATURATED
     | SampleFlag.NO_REFERENCE
+    | SampleFlag.NOT_QUIET
 )
 """Flags that keep a sample out of every fit."""
 

@@ -29,6 +29,7 @@ from magcal_core.calibration.selection import held_out_residuals_nt, rms_nt
 from magcal_core.calibration.uncertainty import HonestCovariance, covered_s, honest_covariance
 from magcal_core.calibration.verdict import Evidence, judge
 from magcal_core.calibration.weights import robust_sigma
+from magcal_core.field.external_knowledge import Storm
 from magcal_core.sensor import inverse_lower, matrix_of_parameters
 
 Floats = NDArray[np.float64]
@@ -37,7 +38,7 @@ Floats = NDArray[np.float64]
 @dataclass(frozen=True, slots=True, eq=False)
 class Circumstances:
     """What the verdict must know that is not in the fit: the orbit's age, clock, samples left out, suspicions, what
-    errors of the reference do to the parameters, and the calibration in force before.
+    errors of the reference do to the parameters, the calibration in force before, and a storm.
     """
 
     orbit_age_days: float
@@ -46,6 +47,7 @@ class Circumstances:
     suspicions: tuple[str, ...] = ()
     reference: tuple[ReferenceShift, ...] = ()
     active: ActiveSet | None = None
+    storm: Storm | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,6 +111,7 @@ def judgement_of(  # noqa: PLR0917
         suspicions=circumstances.suspicions,
         misaligned_deg=_misaligned_deg(fit),
         agreement=agreement,
+        storm=None if circumstances.storm is None or not circumstances.storm.is_weak else circumstances.storm.text,
     )
     return Judgement(
         honest,

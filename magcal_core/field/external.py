@@ -36,8 +36,6 @@ MEAN_EXTERNAL_NT: Final = -13.3
 """Mean of the external part of RC over 2015 to 2026, nT."""
 MAX_RADIUS_KM: Final = 2.0 * EARTH_RADIUS_MAGNETIC_KM
 """Beyond two Earth radii more than 6 nT of |B| would remain."""
-GAPS: Final = ("refuse", "mean")
-"""What is done at a sample for which the index has no value."""
 EXTERNAL_KINDS: Final = {"rc": "RC", "dst": "Dst", "mean": None}
 """Suffix of a model's name -> the index that it needs."""
 _NO_CELLS: Final = np.full((1, 4), np.nan)
@@ -79,7 +77,7 @@ class ExternalField:
         return cls("mean", None, "mean", 0, _DAY_NS, _NO_CELLS)
 
     def add_to(self, field_nt: Floats, stamps_ns: Nanoseconds, r_itrf_km: Floats) -> None:
-        """Add the field at ``stamps_ns``, shape (n,), and ``r_itrf_km``, shape (n, 3), to ``field_nt``, (n, 3), ITRF, nT.
+        """Add the field at ``stamps_ns``, (n,), and ``r_itrf_km``, shape (n, 3), to ``field_nt``, (n, 3), ITRF, nT.
 
         Raises
         ------
@@ -99,7 +97,7 @@ class ExternalField:
         if len(stamps_ns) and not (knots_ns[0] <= stamps_ns.min() and stamps_ns.max() <= knots_ns[-1]):
             raise ModelRangeError("external field: the geomagnetic pole is that of IGRF-14, known from 1900 to 2030")
         mean = (MEAN_EXTERNAL_NT if self.gap == "mean" else np.nan, 0.0)
-        constants = (GAIN, UNIFORM_NT, EARTH_RADIUS_MAGNETIC_KM, MAX_RADIUS_KM)
+        constants = (GAIN, UNIFORM_NT, EARTH_RADIUS_MAGNETIC_KM)
 
         def part(rows: slice) -> int:
             index = (self.start_ns, self.step_ns, self.cells)
@@ -125,11 +123,11 @@ class ExternalField:
         cells = np.arange(max(low, 0), min(high, len(self.cells)) + 1)
         is_middle = cells % 2 == 1
         is_end = self._has_value(cells) != self._has_value(cells - 1)
-        return self.start_ns + cells[is_middle | is_end] * self.step_ns
+        return np.asarray(self.start_ns + cells[is_middle | is_end] * self.step_ns, np.int64)
 
     def _has_value(self, cells: NDArray[np.int64]) -> NDArray[np.bool_]:
         inside = (cells >= 0) & (cells < len(self.cells))
-        return inside & ~np.isnan(self.cells[np.where(inside, cells, 0), 0])
+        return np.asarray(inside & ~np.isnan(self.cells[np.where(inside, cells, 0), 0]))
 
     def straight_at(self, stamp_ns: int) -> ExternalField:
         """Return the field with the line that the index follows at ``stamp_ns`` drawn out for a day to both sides."""
@@ -145,8 +143,8 @@ class ExternalField:
         unknown = stamps_ns[~self.is_known(stamps_ns)]
         when = np.datetime_as_string(np.datetime64(int(unknown[0]), "ns"), unit="s")
         return IndexRangeError(
-            f"the index {index.name} has no value for {len(unknown)} of {len(stamps_ns)} samples, the first at {when}Z: "
-            f"it is there from {index.span}; index_gap mean takes its mean"
+            f"the index {index.name} has no value for {len(unknown)} of {len(stamps_ns)} samples, "
+            f"the first at {when}Z: it is there from {index.span}; index_gap mean takes its mean"
         )
 
 
@@ -168,7 +166,7 @@ def geomagnetic_axis(stamps_ns: Nanoseconds) -> Floats:
 
 
 def shapes(stamps_ns: Nanoseconds, r_itrf_km: Floats) -> tuple[Floats, Floats]:
-    """Return n and (a/r)^3 (n - 3 (n.u) u), each of shape (n, 3), ITRF: 1 nT of the uniform and of the induced field."""
+    """Return n and (a/r)^3 (n - 3 (n.u) u), each of shape (n, 3), ITRF: the uniform and the induced field for 1 nT."""
     axis = geomagnetic_axis(stamps_ns)
     radius_km = np.linalg.norm(r_itrf_km, axis=1, keepdims=True)
     up = r_itrf_km / radius_km

@@ -22,7 +22,7 @@ def add_external(  # noqa: PLR0917 (numba takes no keyword arguments)
     step_ns: int,
     cells: Floats,
     mean: tuple[float, float],
-    constants: tuple[float, float, float, float],
+    constants: tuple[float, float, float],
     field_nt: Floats,
 ) -> int:
     """Add the external field to ``field_nt``, shape (n, 3), nT, and return how many samples have no index.
@@ -34,13 +34,13 @@ def add_external(  # noqa: PLR0917 (numba takes no keyword arguments)
     start_ns, step_ns, cells : shape (m, 4)
         The index: in each cell of ``step_ns`` from ``start_ns`` on external part, its slope, induced part, its slope.
     mean : external and induced part where there is no index, nT; NaN where that is refused.
-    constants : G, U, nT, the reference radius a, km, and the largest radius, km.
+    constants : G, U, nT, and the reference radius a, km.
 
     Notes
     -----
     B = (G e - U) n + G i (a/r)^3 (n - 3 (n.u) u), n the unit vector along the dipole, u = r/|r|.
     """
-    gain, uniform_nt, radius_km, largest_km = constants
+    gain, uniform_nt, radius_km = constants
     interval, cell, last, unknown = 0, -1, len(knots_ns) - 2, 0
     low, high = 0, 0
     for k in range(len(stamps_ns)):

@@ -136,7 +136,7 @@ def _at(powers: Floats, piece: NDArray[np.intp], share: Floats) -> Floats:
     for power in range(powers.shape[1] - 2, -1, -1):
         value *= share[:, None, None, None]
         value += powers[piece, power]
-    return value
+    return np.asarray(value)
 
 
 @lru_cache(maxsize=4)

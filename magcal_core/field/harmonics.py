@@ -14,7 +14,7 @@ Gill, Satellite Orbits). Nothing is divided by the distance from the axis, so th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from math import factorial, frexp, sqrt
 
 import numpy as np
@@ -74,7 +74,7 @@ def series_of(g_nt: Floats, h_nt: Floats, min_degree: int, max_degree: int) -> t
     return series, recursion
 
 
-@lru_cache(maxsize=None)
+@cache
 def _factorial(n: int) -> int:
     return factorial(n)
 

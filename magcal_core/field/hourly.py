@@ -94,16 +94,16 @@ class HourlyIndex:
         return np.where(hour[:, None] < 0, np.nan, found)
 
     def used_hours(self, stamps_ns: Nanoseconds) -> NDArray[np.int64]:
-        """Return the hours, ascending, whose values the index at ``stamps_ns`` depends on: its own and the neighbour's."""
+        """Return the hours, ascending, that the index at ``stamps_ns`` depends on: its own and the neighbour's."""
         hour = self.hours(stamps_ns)
         known = hour >= 0
         side = np.where((stamps_ns - self.start_ns) % HOUR_NS < CELL_NS, -1, 1)
         around = np.unique(np.concatenate([hour[known], (hour + side)[known]]))
         around = around[(around >= 0) & (around < len(self.total_nt))]
-        return around[~np.isnan(self.total_nt[around])]
+        return np.asarray(around[~np.isnan(self.total_nt[around])], np.int64)
 
     def changes_nt(self, stamps_ns: Nanoseconds) -> Floats:
-        """Return how much the index changed from the hour before to the hour of each of ``stamps_ns``, shape (m,), nT."""
+        """Return by how much the index changed in the hour of each of ``stamps_ns``, shape (m,), nT: it less the last."""
         hour = self.hours(stamps_ns)
         change = np.abs(self.total_nt - _shifted(self.total_nt, 1))
         return np.where(hour < 0, np.nan, change[np.where(hour < 0, 0, hour)])

@@ -13,11 +13,12 @@ import numpy as np
 from magcal_core.errors import ModelRangeError, OptionError
 from magcal_core.field import FieldModel
 from magcal_core.field.dipole import DirectDipole
-from magcal_core.field.external import EXTERNAL_KINDS, GAPS, ExternalField
+from magcal_core.field.external import EXTERNAL_KINDS, ExternalField
 from magcal_core.field.file_model import FileField
 from magcal_core.field.igrf import MAX_DEGREE, Igrf
 from magcal_core.field.sources import FieldFile, FieldSources, Indices
 from magcal_core.field.summed import SummedField
+from magcal_core.options import INDEX_GAPS
 
 MAIN_FIELDS: Final[Mapping[str, Callable[[], Igrf | DirectDipole]]] = {
     "igrf": Igrf,
@@ -101,7 +102,7 @@ def field_model(
         What the external field is driven by; of one kind the later holds, hour by hour.
     field_file : CoefficientFile, path, bytes or open file
         Coefficients, where the name has ``file``.
-    index_gap : one of `GAPS`
+    index_gap : one of `INDEX_GAPS`
         What is done where the index has no value: ``refuse``, or ``mean`` for its mean.
     sources : FieldSources
         Both, where they are read already.
@@ -120,13 +121,13 @@ def field_model(
     parts = FieldName.parse(name)
     if parts is None:
         raise OptionError(f"unknown field model {name!r}; known are {', '.join(FIELD_MODELS)}")
-    if index_gap not in GAPS:
-        raise OptionError(f"index_gap is {index_gap!r}; want one of {', '.join(GAPS)}")
+    if index_gap not in INDEX_GAPS:
+        raise OptionError(f"index_gap is {index_gap!r}; want one of {', '.join(INDEX_GAPS)}")
     given = FieldSources.of(index, field_file) if sources is None else sources
     if not parts.has_file and given.file is not None:
         raise OptionError(f"field: {name} takes no file of coefficients; name one that has +file, or file")
     if max_degree is not None:
-        parts = replace(parts, **{"file_degree" if parts.has_file else "degree": max_degree})
+        parts = replace(parts, file_degree=max_degree) if parts.has_file else replace(parts, degree=max_degree)
     main = _main(name, parts, frozen_epoch, given)
     crust = _crust(name, parts, given) if parts.has_file and parts.main is not None else None
     external = _external(name, parts, given, index_gap)

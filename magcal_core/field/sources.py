@@ -45,13 +45,11 @@ class FieldSources:
             A file is none that magcal reads.
         """
         one = (str, Path, bytes, Index)
-        given: Sequence[OneIndex]
-        if index is None:
-            given = ()
-        elif isinstance(index, one) or not isinstance(index, Sequence):
+        given: tuple[OneIndex, ...] = ()
+        if isinstance(index, one) or (index is not None and not isinstance(index, Sequence)):
             given = (index,)
-        else:
-            given = index
+        elif index is not None:
+            given = tuple(index)
         indices = tuple(item if isinstance(item, Index) else read_index(item) for item in given)
         if field_file is None or isinstance(field_file, CoefficientFile):
             return cls(indices, field_file)
@@ -85,6 +83,11 @@ class FieldSources:
         if self.file is None:
             raise OptionError(f"field: {what} needs a file of coefficients (field_file)")
         return self.file
+
+    def require_kp(self, what: str) -> None:
+        """Raise `IndexMissingError` where there is no Kp, which ``what`` needs."""
+        if not self.kp():
+            raise IndexMissingError(f"{what} needs the index Kp, which is not there")
 
     def kp(self) -> tuple[Index, ...]:
         """Return the files of Kp, the last first: the first one with a value holds."""

@@ -121,7 +121,8 @@ def _pieces(times_ns: Nanoseconds, values: Floats, order: int) -> tuple[Nanoseco
         stamps = times_ns[rows]
         share = (stamps - stamps[0]) / (stamps[-1] - stamps[0])
         away = values[:, rows] - values[:, first, None]
-        powers = np.linalg.solve(np.vander(share[1:], order, increasing=True)[:, 1:], _flat(away[:, 1:]))
+        vander = np.vander(share[1:], order, increasing=True)[:, 1:]
+        powers = np.asarray(np.linalg.solve(vander, _flat(away[:, 1:])), np.float64)
         pieces.append(np.concatenate([values[:, first, None], _shaped(powers, away.shape)], axis=1))
     return times_ns[breaks], np.stack(pieces, axis=1)
 

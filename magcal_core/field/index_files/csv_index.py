@@ -104,7 +104,9 @@ def _quick(text: str, sha256: str) -> Index | None:
     if not is_whole or np.any((stamps - back_ns) % step_ns):
         return None
     rows = Rows(step_ns)
-    rows.add_all(range(2, 2 + len(stamps)), stamps - back_ns, values if len(values) == 1 else [sum(values), *values])
+    rows.add_all(
+        range(2, 2 + len(stamps)), stamps - back_ns, values if len(values) == 1 else [values[0] + values[1], *values]
+    )
     return _index(rows, header, sha256)
 
 

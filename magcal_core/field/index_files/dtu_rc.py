@@ -59,17 +59,17 @@ def _checked(rows: Rows, lines: Sequence[tuple[int, str]]) -> Floats:
 
 
 def add_hours(rows: Rows, lines: Sequence[int], table: Floats) -> None:
-    """Note the hours of ``table``, shape (n, 4): middle, days since 2000, RC, its parts, nT; NaN rows are passed over."""
+    """Note the hours of ``table``, (n, 4): middle, days since 2000, RC, its parts, nT; NaN rows are passed over."""
     is_given = np.isfinite(table).all(axis=1)
     minutes = np.rint(np.where(is_given, np.clip(table[:, 0], -1e5, 1e5), 0.0) * 1440.0).astype(np.int64)
     is_middle = (minutes % 60 == 30) & (np.abs(table[:, 0]) < 1e5)
-    for row in np.flatnonzero(is_given & ~is_middle):
+    for row in np.flatnonzero(is_given & ~is_middle).tolist():
         why = "the time is not the middle of an hour, to the minute, in days since 2000"
         rows.refuse(lines[row], why, f"{table[row, 0]:.6f}")
     total_nt = table[:, 2] + table[:, 3]
     is_sum = np.abs(total_nt - table[:, 1]) <= AGREEMENT_NT + 1e-9
-    for row in np.flatnonzero(is_given & is_middle & ~is_sum):
+    for row in np.flatnonzero(is_given & is_middle & ~is_sum).tolist():
         rows.refuse(lines[row], f"RC is {table[row, 1]:g} nT, the sum of its parts {total_nt[row]:g} nT")
     good = np.flatnonzero(is_given & is_middle & is_sum)
     start_ns = MJD2000_NS + (minutes[good] - 30) * 60_000_000_000
-    rows.add_all([lines[row] for row in good], start_ns, table[good, 1:].T)
+    rows.add_all([lines[row] for row in good.tolist()], start_ns, [table[good, column] for column in (1, 2, 3)])
