@@ -23,6 +23,7 @@ from app.field import endpoints as field
 from app.gate import UploadGate
 from app.head import HeadRequests
 from app.idempotency import Running
+from app.indices import endpoints as indices
 from app.jobs import endpoints as jobs
 from app.jobs.engine import Engine, open_engine
 from app.keys import endpoints as keys
@@ -44,7 +45,7 @@ from app.settings import Settings
 from app.store import open_store
 
 API: Final = "/api/v1"
-ROOMS: Final = (sessions, satellites, orbits, jobs, parameter_sets, pointing, refitting, field, keys, displays)
+ROOMS: Final = (sessions, satellites, orbits, jobs, parameter_sets, pointing, refitting, field, indices, keys, displays)
 STOP_GRACE_S: Final = 20.0
 
 log = structlog.get_logger()

@@ -248,7 +248,10 @@ def positions_km(orbit: Orbit, t_utc: Times) -> Floats:
 
 
 def _interval_ns(orbit: Orbit, turn_rad: float) -> int:
-    """Return the distance of the nodes, nanoseconds, ``turn_rad`` at the perigee, from the ellipse of the second that follows the epoch."""
+    """Return the distance of the nodes, nanoseconds, ``turn_rad`` at the perigee.
+
+    From the ellipse of the second that follows the epoch.
+    """
     start = orbit.epoch_utc.astype("datetime64[ns]")
     before_km, after_km = orbit.position_itrf_km(start + np.array([0, 1_000_000_000], "timedelta64[ns]"))
     r_km = 0.5 * (before_km + after_km)

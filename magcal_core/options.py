@@ -91,10 +91,9 @@ class CalibrationOptions:
             for name, check in _CHECKS.items()
             if (why := check(getattr(self, name))) is not None
         ]
-        if not faults and self.field_max_degree is not None and self.field_max_degree > _IGRF_DEGREE:
-            if "file" not in self.field.replace("-", "+").split("+"):
-                why = f"want a whole number from 1 to {_IGRF_DEGREE}, the degrees of {self.field}"
-                faults = [Fault("field_max_degree", why, repr(self.field_max_degree))]
+        if not faults and "file" not in self.field and (self.field_max_degree or 1) > _IGRF_DEGREE:
+            why = f"want a whole number from 1 to {_IGRF_DEGREE}, the degrees of {self.field}"
+            faults = [Fault("field_max_degree", why, repr(self.field_max_degree))]
         if faults:
             raise OptionError("; ".join(f"{fault.where}: {fault.why}" for fault in faults), faults)
 

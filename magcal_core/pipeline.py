@@ -292,7 +292,7 @@ def _moments(referenced: Referenced, estimate: _Estimate, judgement: Judgement) 
     offered = dict(list(others.items())[: max(MAX_COLUMNS - fitted, 0)])
     o = replace(o, regressors={**o.regressors, **offered})
     if clock is None and referenced.has_orbit:
-        # An ephemeris or an index that ends with the telemetry says nothing of where another clock would have the satellite.
+        # An ephemeris or an index that ends with the telemetry says nothing of what another clock would have.
         with suppress(OrbitMissingError, IndexRangeError):
             o = with_rates(o, referenced.movable(estimate.usable, ()).at)
     is_clock_fitted = clock is not None and clock.drift_s_per_day is None and not clock.wave_periods_s

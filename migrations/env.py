@@ -8,6 +8,7 @@ from alembic import context
 from alembic.autogenerate.api import AutogenContext
 
 import app.idempotency
+import app.indices.tables
 import app.jobs.tables
 import app.keys.tables
 import app.orbits.tables

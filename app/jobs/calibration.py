@@ -12,6 +12,7 @@ from sqlalchemy.orm import Session
 
 from app.database import new_id, utc_now
 from app.errors import ConflictError, ExpiredError
+from app.indices.repository import IndexRepository
 from app.jobs.child import Outcome
 from app.jobs.claims import Claim
 from app.jobs.kind import Admission, WrongKindError
@@ -34,12 +35,15 @@ from magcal_core.options import CalibrationOptions
 POSITIONED: Final = frozenset({"ref_b", "ref_bx", "ref_eci_x", "x_km"})
 """Columns that make an orbit unnecessary."""
 DEFAULT_AGE_DAYS: Final = 14.0
+FIELD_FILE: Final = "field_file"
+"""In a job's request, beside the options: the id of the file of coefficients."""
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrationWork:
-    """What a calibration works on: each session's chunks, orbits as (id, content), options, its inputs' names, and the
-    parameter set that was in force before, where there is one.
+    """What a calibration works on: each session's chunks, orbits as (id, content), options, its inputs' names, the
+    parameter set that was in force before, where there is one, the intervals of indices near it, and name and content
+    of a file of coefficients.
     """
 
     columns: Sequence[Sequence[bytes]]
@@ -47,6 +51,8 @@ class CalibrationWork:
     options: Mapping[str, object]
     inputs: Sequence[Mapping[str, object]]
     active: Mapping[str, object] | None = None
+    intervals: Sequence[bytes] = ()
+    field_file: tuple[str | None, bytes] | None = None
 
 
 class CalibrationKind:
@@ -73,10 +79,13 @@ class CalibrationKind:
         magnetometer = SatelliteRepository(session, caller).magnetometer(satellite_id, magnetometer_id)
         options = CalibrationOptions.from_dict({"noise_nt": magnetometer.noise_nt} | body.options).to_dict()
         lock = f"{satellite_id}/{magnetometer_id}"
+        if body.field_file is not None:
+            options[FIELD_FILE] = body.field_file
         return Admission(options, satellite_id, magnetometer_id, session_ids, lock)
 
     def check(self, session: Session, admission: Admission) -> None:
-        """Raise `OrbitMissingError` or `TleEpochError` where a session needs an orbit and none may serve it."""
+        """Raise where a session needs an orbit, or its field an index or a file, and none may serve it."""
+        check_field(session, admission.request)
         limit_days = _limit_days(admission.request)
         orbits = OrbitRepository(session, SYSTEM, str(admission.satellite_id))
         for session_id in admission.session_ids:
@@ -98,12 +107,17 @@ class CalibrationKind:
         end = max(row.data_until for row in rows if row.data_until is not None)
         orbits = OrbitRepository(session, SYSTEM, str(claim.satellite_id))
         near = orbits.around(begin, end, _limit_days(claim.request))
+        options = dict(claim.request)
+        file_id = options.pop(FIELD_FILE, None)
+        files = IndexRepository(session, SYSTEM)
         return CalibrationWork(
             columns=columns,
             orbits=[(row.id, row.content) for row in near],
-            options=claim.request,
+            options=options,
             inputs=[{"session_id": row.id, "sha256": identity(sessions.chunks(row.id))} for row in rows],
             active=_in_force(session, claim, begin),
+            intervals=files.intervals_near(begin, end),
+            field_file=None if file_id is None else files.field_file_content(str(file_id)),
         )
 
     def keep(self, session: Session, store: Store, claim: Claim, found: Outcome) -> dict[str, object]:
@@ -136,6 +150,16 @@ def _in_force(session: Session, claim: Claim, begin: datetime) -> dict[str, obje
     """
     found = ParameterSetRepository(session, SYSTEM).in_force(str(claim.satellite_id), str(claim.magnetometer_id))
     return None if found is None or found.data_from >= begin else {**found.record, "id": found.id}
+
+
+def check_field(session: Session, request: Mapping[str, object]) -> None:
+    """Raise where the field of a calibration's ``request`` needs an index or a file that is not there."""
+    file_id = request.get(FIELD_FILE)
+    IndexRepository(session, SYSTEM).check(
+        str(request["field"]),
+        file_id=None if file_id is None else str(file_id),
+        is_quiet_only=bool(request.get("quiet_only")),
+    )
 
 
 def _limit_days(options: Mapping[str, object]) -> float:

@@ -13,6 +13,7 @@ from sqlalchemy.orm import Session
 
 from app.database import DatabaseNow, new_id, utc_now
 from app.errors import ConflictError
+from app.jobs.calibration import FIELD_FILE, check_field
 from app.jobs.port import Queue
 from app.jobs.schemas import ReprocessingBody
 from app.jobs.tables import Job, JobSession
@@ -30,6 +31,8 @@ UNENDED: Final = ("queued", "running")
 def submit_reprocessing(session: Session, caller: Caller, body: ReprocessingBody, queue: Queue) -> Job:
     """Return the job that sums up a calibration of each session that ``body`` names, all of them enqueued."""
     options = CalibrationOptions.from_dict(body.options).to_dict()
+    file = {} if body.field_file is None else {FIELD_FILE: body.field_file}
+    check_field(session, options | file)
     chosen = _sessions(session, caller, body)
     if not chosen:
         raise ConflictError("there is no closed session to reprocess")
@@ -38,7 +41,7 @@ def submit_reprocessing(session: Session, caller: Caller, body: ReprocessingBody
         caller,
         KIND,
         body.priority,
-        options,
+        options | file,
         state="running",
         satellite_id=satellites.pop() if len(satellites) == 1 else None,
         started_at=utc_now(),
@@ -51,7 +54,7 @@ def submit_reprocessing(session: Session, caller: Caller, body: ReprocessingBody
             caller,
             "calibration",
             body.priority,
-            CalibrationOptions.from_dict({"noise_nt": noise_nt[_place(row)]} | body.options).to_dict(),
+            CalibrationOptions.from_dict({"noise_nt": noise_nt[_place(row)]} | body.options).to_dict() | file,
             satellite_id=row.satellite_id,
             magnetometer_id=row.magnetometer_id,
             parent_id=parent.id,

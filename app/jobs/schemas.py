@@ -17,8 +17,10 @@ class CalibrationOptionsBody(Body):
 
     method: Literal["scalar", "scalar-hooke-jeeves", "vector", "vector-closed-form"] | None = None
     orbit: Literal["sgp4", "numerical"] | None = None
-    field: str | None = Field(None, max_length=32)
-    field_max_degree: int | None = Field(None, ge=1, le=13)
+    field: str | None = Field(None, max_length=64)
+    field_max_degree: int | None = Field(None, ge=1, le=250)
+    index_gap: Literal["refuse", "mean"] | None = Field(None, description="Where the index of the field has no value.")
+    quiet_only: bool | None = Field(None, description="Only samples of quiet hours; needs the index Kp.")
     time_offset: Literal["auto", "none", "estimate"] | None = None
     time_drift: bool | None = None
     regressors: list[str] | Literal["auto"] | None = None
@@ -48,6 +50,7 @@ class CalibrationBody(JobBody, CalibrationOptionsBody):
 
     kind: Literal["calibration"]
     session_ids: list[Identifier] = Field(min_length=1, max_length=1000)
+    field_file: Identifier | None = Field(None, description="Coefficients, for a field with `file`.")
 
 
 class ReprocessingBody(CalibrationOptionsBody):
@@ -57,6 +60,7 @@ class ReprocessingBody(CalibrationOptionsBody):
     magnetometer: Slug | None = None
     since: UtcTime | None = None
     until: UtcTime | None = None
+    field_file: Identifier | None = Field(None, description="Coefficients, for a field with `file`.")
     priority: int = Field(-50, ge=-100, le=100, description="Below 0, so that a pass goes first.")
 
 

@@ -11,6 +11,7 @@ from sqlalchemy.orm import Session
 from app.auth import Reader
 from app.body import StrictJsonRoute
 from app.errors import NotFoundError
+from app.indices.repository import sources_of_record
 from app.jobs.schemas import Identifier
 from app.keys.repository import SYSTEM, Caller
 from app.orbits.parsing import orbit_of
@@ -119,7 +120,8 @@ def get_session_monitoring(
         chosen = _parameter_set(session, caller, row, query.parameter_set)
         near = _orbits(session, row)
         samples = _samples(session, caller, row, store)
-    judged = monitor(samples, near, chosen.record, max_orbit_age_days=ORBIT_AGE_DAYS).to_dict()
+        sources = sources_of_record(session, chosen.record, samples.t_utc)
+    judged = monitor(samples, near, chosen.record, max_orbit_age_days=ORBIT_AGE_DAYS, sources=sources).to_dict()
     ids = {"session_id": row.id, "parameter_set_id": chosen.id}
     return MonitoringRead.model_validate(without_nan(judged | ids))
 

@@ -15,8 +15,8 @@ from app.jobs.tables import Job
 from app.migrate import require_head
 
 ROOMS: Final = (
-    "app.idempotency", "app.jobs.tables", "app.keys.tables", "app.orbits.tables", "app.parameter_sets.tables",
-    "app.satellites.tables", "app.sessions.tables", "app.store",
+    "app.idempotency", "app.indices.tables", "app.jobs.tables", "app.keys.tables", "app.orbits.tables",
+    "app.parameter_sets.tables", "app.satellites.tables", "app.sessions.tables", "app.store",
 )  # fmt: skip
 """Modules whose tables are the database."""
 ROWS_AT_ONCE: Final = 200

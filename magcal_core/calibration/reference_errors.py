@@ -22,7 +22,7 @@ from magcal_core.calibration.error_budget import ReferenceSource, along_track_km
 from magcal_core.calibration.fit import Observations, scaled_inverse
 from magcal_core.calibration.result import Parameters
 from magcal_core.calibration.scale_terms import without_scale_terms
-from magcal_core.field.external_knowledge import ReferenceError
+from magcal_core.field.external_knowledge import ConsideredError
 from magcal_core.orbit.earth_fixed import itrf_to_gcrf_fast
 from magcal_core.orbit.timescales import nanoseconds
 from magcal_core.samples import Samples, Times
@@ -75,7 +75,7 @@ def reference_shifts(
     return tuple(ReferenceShift(one.source, one.why, shift) for one, shift in zip(errors, shifts, strict=True))
 
 
-def considered_errors(samples: Samples, rows: NDArray[np.intp], source: ReferenceSource) -> tuple[ReferenceError, ...]:
+def considered_errors(samples: Samples, rows: NDArray[np.intp], source: ReferenceSource) -> tuple[ConsideredError, ...]:
     """Return the errors of the reference that are considered, by name: a vector at each of ``rows`` at one sigma.
 
     The three parts of the external field (`ExternalKnowledge`) and, where no clock was estimated, an orbit that is
@@ -90,7 +90,7 @@ def considered_errors(samples: Samples, rows: NDArray[np.intp], source: Referenc
         return errors
     along_km, how = along_track_km(samples, source)
     late_nt = along_km * _along_nt_per_km(source, t_utc, r_km, _directions(samples, rows))
-    return (*errors, ReferenceError("orbit_along_track", f"{along_km:.2g} km ({how})", late_nt))
+    return (*errors, ConsideredError("orbit_along_track", f"{along_km:.2g} km ({how})", late_nt))
 
 
 def _directions(samples: Samples, rows: NDArray[np.intp]) -> Floats:

@@ -1,4 +1,4 @@
-"""What is known of the external field in a session: how wrong the reference may be for it, and whether there was a storm.
+"""What is known of the external field in a session: how wrong the reference may be, and whether there was a storm.
 
 Notes
 -----
@@ -63,7 +63,7 @@ MEAN: Final = Sizes(17.0, 2.5, 3.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ReferenceError:
+class ConsideredError:
     """One source of error of the reference: its vector at each sample at one standard deviation, (n, 3), ITRF, nT."""
 
     source: str
@@ -115,7 +115,7 @@ class ExternalKnowledge:
         return "none" if self.used is None else self.used.kind
 
     def index(self, stamps_ns: Nanoseconds) -> HourlyIndex | None:
-        """Return the hourly index of a session with samples at ``stamps_ns``: the one in use, or one that is at hand."""
+        """Return the hourly index of a session with samples at ``stamps_ns``: the one in use, or one at hand."""
         if self.used is not None and self.used.index is not None:
             return self.used.index
         return next((one for one in self.beside if (one.hours(stamps_ns) >= 0).any()), None)
@@ -141,7 +141,7 @@ class ExternalKnowledge:
         has_parts = bool(index.has_parts[hours].all())
         return Sizes(0.1 * largest, 1.0 if has_parts else 1.5, 2.0), why
 
-    def errors(self, session_ns: Nanoseconds, stamps_ns: Nanoseconds, r_itrf_km: Floats) -> tuple[ReferenceError, ...]:
+    def errors(self, session_ns: Nanoseconds, stamps_ns: Nanoseconds, r_itrf_km: Floats) -> tuple[ConsideredError, ...]:
         """Return the three considered sources at ``stamps_ns`` and ``r_itrf_km``, some of the samples of a session."""
         sizes, why = self.sizes(session_ns)
         uniform, induced = shapes(stamps_ns, r_itrf_km)
@@ -154,7 +154,7 @@ class ExternalKnowledge:
             size_nt = getattr(sizes, name)
             per_sample = np.where(is_mean, getattr(MEAN, name), size_nt)
             words = f"{size_nt:.3g} nT ({why})"
-            made.append(ReferenceError(f"external_{name}", words, per_sample[:, None] * shape))
+            made.append(ConsideredError(f"external_{name}", words, per_sample[:, None] * shape))
         return tuple(made)
 
     def storm(self, stamps_ns: Nanoseconds, r_itrf_km: Floats) -> Storm | None:

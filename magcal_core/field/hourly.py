@@ -103,7 +103,7 @@ class HourlyIndex:
         return np.asarray(around[~np.isnan(self.total_nt[around])], np.int64)
 
     def changes_nt(self, stamps_ns: Nanoseconds) -> Floats:
-        """Return by how much the index changed in the hour of each of ``stamps_ns``, shape (m,), nT: it less the last."""
+        """Return the change of the index from the hour before to that of each of ``stamps_ns``, shape (m,), nT."""
         hour = self.hours(stamps_ns)
         change = np.abs(self.total_nt - _shifted(self.total_nt, 1))
         return np.where(hour < 0, np.nan, change[np.where(hour < 0, 0, hour)])

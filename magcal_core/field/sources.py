@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, cast
 
 import numpy as np
 
@@ -44,12 +44,12 @@ class FieldSources:
         IndexFormatError, FieldFileError
             A file is none that magcal reads.
         """
-        one = (str, Path, bytes, Index)
-        given: tuple[OneIndex, ...] = ()
-        if isinstance(index, one) or (index is not None and not isinstance(index, Sequence)):
-            given = (index,)
-        elif index is not None:
-            given = tuple(index)
+        if index is None:
+            given: list[OneIndex] = []
+        elif isinstance(index, (list, tuple)):
+            given = list(index)
+        else:
+            given = [cast("OneIndex", index)]
         indices = tuple(item if isinstance(item, Index) else read_index(item) for item in given)
         if field_file is None or isinstance(field_file, CoefficientFile):
             return cls(indices, field_file)
