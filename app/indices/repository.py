@@ -23,7 +23,7 @@ from app.store import verified
 from magcal_core.errors import IndexMissingError, OptionError
 from magcal_core.field.coefficient_files import read_field_file
 from magcal_core.field.coefficients import CoefficientFile
-from magcal_core.field.index import Index
+from magcal_core.field.index import INDEX_NAMES, Index
 from magcal_core.field.models import FieldName
 from magcal_core.field.sources import FieldSources
 from magcal_core.samples import Times
@@ -33,6 +33,8 @@ MEMORY: Final = timedelta(hours=20_000)
 AROUND: Final = timedelta(hours=4)
 """Hours beside a session that its samples depend on: a neighbour, behind a gap that is bridged."""
 HOUR: Final = timedelta(hours=1)
+FIELD_FILE: Final = "field_file"
+"""In a job's request, beside the options: the id of the file of coefficients."""
 
 
 class IndexRepository:
@@ -108,11 +110,17 @@ class IndexRepository:
     def intervals_near(self, begin: datetime, end: datetime) -> list[bytes]:
         """Return the intervals of the files that may drive a field from ``begin`` to ``end``, the oldest file first.
 
-        A file whose hours all came again in later ones is left out.
+        A file whose hours all came again in later ones is left out. Of a kind of which none reaches there the last one
+        is given: it says where the index ends.
         """
         reaches = (IndexFile.last >= _at(begin - MEMORY - AROUND)) & (IndexFile.first <= _at(end + AROUND))
         rows = self.session.scalars(select(IndexFile).where(reaches).order_by(IndexFile.created_at, IndexFile.id)).all()
         kept = _not_replaced(rows)
+        for name in set(INDEX_NAMES) - {row.name for row in kept}:
+            last = (
+                select(IndexFile).where(IndexFile.name == name).order_by(IndexFile.last.desc(), IndexFile.id).limit(1)
+            )
+            kept += self.session.scalars(last)
         wanted = select(IndexFile.id, IndexFile.intervals).where(IndexFile.id.in_([row.id for row in kept]))
         by_id: dict[str, bytes] = {str(row[0]): bytes(row[1]) for row in self.session.execute(wanted)}
         return [by_id[row.id] for row in kept]
@@ -163,6 +171,16 @@ def require_unbound(caller: Caller) -> None:
     """Raise `ScopeRequiredError` where the caller's key is bound to satellites: these files serve all of them."""
     if caller.satellites is not None:
         raise ScopeRequiredError("the key is bound to satellites; a file that serves all of them needs one that is not")
+
+
+def check_field(session: Session, request: Mapping[str, object]) -> None:
+    """Raise where the field of a calibration's ``request`` needs an index or a file that is not there."""
+    file_id = request.get(FIELD_FILE)
+    IndexRepository(session, SYSTEM).check(
+        str(request["field"]),
+        file_id=None if file_id is None else str(file_id),
+        is_quiet_only=bool(request.get("quiet_only")),
+    )
 
 
 def sources_of(intervals: Sequence[bytes], file: tuple[str | None, bytes] | None) -> FieldSources:

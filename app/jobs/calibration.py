@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 
 from app.database import new_id, utc_now
 from app.errors import ConflictError, ExpiredError
-from app.indices.repository import IndexRepository
+from app.indices.repository import FIELD_FILE, IndexRepository, check_field
 from app.jobs.child import Outcome
 from app.jobs.claims import Claim
 from app.jobs.kind import Admission, WrongKindError
@@ -35,8 +35,6 @@ from magcal_core.options import CalibrationOptions
 POSITIONED: Final = frozenset({"ref_b", "ref_bx", "ref_eci_x", "x_km"})
 """Columns that make an orbit unnecessary."""
 DEFAULT_AGE_DAYS: Final = 14.0
-FIELD_FILE: Final = "field_file"
-"""In a job's request, beside the options: the id of the file of coefficients."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,16 +148,6 @@ def _in_force(session: Session, claim: Claim, begin: datetime) -> dict[str, obje
     """
     found = ParameterSetRepository(session, SYSTEM).in_force(str(claim.satellite_id), str(claim.magnetometer_id))
     return None if found is None or found.data_from >= begin else {**found.record, "id": found.id}
-
-
-def check_field(session: Session, request: Mapping[str, object]) -> None:
-    """Raise where the field of a calibration's ``request`` needs an index or a file that is not there."""
-    file_id = request.get(FIELD_FILE)
-    IndexRepository(session, SYSTEM).check(
-        str(request["field"]),
-        file_id=None if file_id is None else str(file_id),
-        is_quiet_only=bool(request.get("quiet_only")),
-    )
 
 
 def _limit_days(options: Mapping[str, object]) -> float:

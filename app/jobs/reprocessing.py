@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 
 from app.database import DatabaseNow, new_id, utc_now
 from app.errors import ConflictError
-from app.jobs.calibration import FIELD_FILE, check_field
+from app.indices.repository import FIELD_FILE, check_field
 from app.jobs.port import Queue
 from app.jobs.schemas import ReprocessingBody
 from app.jobs.tables import Job, JobSession

@@ -43,14 +43,16 @@ def add_external(  # noqa: PLR0917 (numba takes no keyword arguments)
     gain, uniform_nt, radius_km = constants
     interval, cell, last, unknown = 0, -1, len(knots_ns) - 2, 0
     low, high = 0, 0
+    former, per_ns = -1, 0.0
     for k in range(len(stamps_ns)):
         stamp = stamps_ns[k]
         while interval > 0 and stamp < knots_ns[interval]:
             interval -= 1
         while interval < last and stamp >= knots_ns[interval + 1]:
             interval += 1
-        span = float(knots_ns[interval + 1] - knots_ns[interval])
-        part = float(stamp - knots_ns[interval]) / span
+        if interval != former:
+            former, per_ns = interval, 1.0 / float(knots_ns[interval + 1] - knots_ns[interval])
+        part = float(stamp - knots_ns[interval]) * per_ns
         a, b = dipole_nt[interval], dipole_nt[interval + 1]
         nx, ny, nz = a[0] + part * (b[0] - a[0]), a[1] + part * (b[1] - a[1]), a[2] + part * (b[2] - a[2])
         size = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz)
@@ -66,11 +68,11 @@ def add_external(  # noqa: PLR0917 (numba takes no keyword arguments)
             induced = cells[cell, 2] + elapsed * cells[cell, 3]
         unknown += math.isnan(external)
         x, y, z = r_km[k, 0], r_km[k, 1], r_km[k, 2]
-        square = x * x + y * y + z * z
-        ratio = radius_km / math.sqrt(square)
+        inverse = 1.0 / math.sqrt(x * x + y * y + z * z)
+        ratio = radius_km * inverse
         uniform = gain * external - uniform_nt
         dipole = gain * induced * ratio * ratio * ratio
-        along = 3.0 * dipole * (nx * x + ny * y + nz * z) / square
+        along = 3.0 * dipole * (nx * x + ny * y + nz * z) * (inverse * inverse)
         both = uniform + dipole
         field_nt[k, 0] += both * nx - along * x
         field_nt[k, 1] += both * ny - along * y

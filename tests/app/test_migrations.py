@@ -11,6 +11,7 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import JSON, MetaData, delete, insert, inspect, select, text
 
 import app.idempotency
+import app.indices.tables
 import app.jobs.tables
 import app.keys.tables
 import app.orbits.tables

@@ -136,7 +136,9 @@ def test_wmmhr_is_that_of_pygeomag():
         x, y, z_nt = model.field_itrf_nt(np.array([start + (end - start) // 2]), place)[0]
         outward = x * np.cos(east) + y * np.sin(east)
         north, down = -sin * outward + cos * z_nt, -cos * outward - sin * z_nt
-        np.testing.assert_allclose([north, -x * np.sin(east) + y * np.cos(east), down], [got.x, got.y, got.z], atol=2e-6)
+        np.testing.assert_allclose(
+            [north, -x * np.sin(east) + y * np.cos(east), down], [got.x, got.y, got.z], atol=2e-6
+        )
 
 
 @pytest.mark.parametrize("degree", [1, 2, 250])
