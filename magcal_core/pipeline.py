@@ -322,6 +322,8 @@ def _assemble(  # noqa: PLR0917
     }
     extras["suspicions"] = [one.to_dict() for one in suspected]
     extras["external_field"] = _external_field(referenced)
+    if (index := referenced.external.series(referenced.placed()[0])) is not None:
+        extras["external_index"] = index
     extras["error_budget"] = _budget(referenced, estimate, judgement)
     extras["mounting"] = mounting_of(_oriented(referenced, estimate), parameters).to_dict()
     extras["device_steps"], unseen_devices = _device_steps(samples, estimate)

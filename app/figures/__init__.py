@@ -11,6 +11,7 @@ from app.figures.parameters import (
     tle_age_history,
 )
 from app.figures.residuals import (
+    IndexSeries,
     before_after,
     residual_autocorrelation,
     residual_histogram,
@@ -30,6 +31,7 @@ __all__ = [
     "THEMES",
     "AblationRow",
     "InForce",
+    "IndexSeries",
     "SessionMark",
     "Theme",
     "ablation_bar",

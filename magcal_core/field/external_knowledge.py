@@ -43,6 +43,8 @@ STORM_NT: Final = 100.0
 STORM_WARNING_NT: Final = 60.0
 STORM_KP: Final = 7.0
 """The same where only Kp is known: RC is -187 nT in the mean there."""
+MOST_HOURS: Final = 500
+"""Hours of an index that a record keeps for its figure."""
 QUIET_KP: Final = 2.0
 QUIET_CHANGE_NT: Final = 4.0
 
@@ -225,6 +227,22 @@ class ExternalKnowledge:
             "rms_nt": rms_nt,
             "interpolated_hours": bridged,
             "mean_samples": by_mean,
+        }
+
+    def series(self, stamps_ns: Nanoseconds) -> dict[str, object] | None:
+        """Return the hourly index about a session, for a figure: name, middles of hours and values; None without one.
+
+        At most `MOST_HOURS` hours, evenly thinned.
+        """
+        index = self.index(stamps_ns)
+        if index is None or not len(hours := index.used_hours(stamps_ns)):
+            return None
+        hours = hours[:: -(-len(hours) // MOST_HOURS)]
+        middles = (index.start_ns + hours * HOUR_NS + HOUR_NS // 2).view("datetime64[ns]")
+        return {
+            "name": index.name,
+            "time": [f"{text}Z" for text in np.datetime_as_string(middles, unit="s")],
+            "index_nt": index.total_nt[hours].tolist(),
         }
 
     def provenance(self, stamps_ns: Nanoseconds, *, is_quiet_only: bool) -> list[dict[str, object]]:
