@@ -57,7 +57,7 @@ def external_session(index: Index, inclination_deg: float, seed: int) -> Externa
     first, last = int(index.start_ns[0]) + _WARM_UP_NS, int(index.start_ns[-1])
     begin_ns = first + int(random.uniform() * (last - first - 4 * HOUR_NS))
     rc = index.between(begin_ns - _WARM_UP_NS, begin_ns + 5 * HOUR_NS)
-    t_s = STEP_S * np.arange(SAMPLES)
+    t_s = STEP_S * np.arange(SAMPLES, dtype=np.float64)
     t_utc = np.datetime64(begin_ns, "ns") + (t_s * 1e9).astype("timedelta64[ns]")
     r_km = _circular_km(random, inclination_deg, t_s)
     b_nt = _field_nt(random, rc, t_utc, r_km)

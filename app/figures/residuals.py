@@ -87,14 +87,14 @@ def residual_time(table: ResidualTable, theme: Theme = LIGHT, index: IndexSeries
         for (name, colour), column in zip(_labels(table, theme), used, strict=True)
     ]
     if is_out.any():
-        index = np.flatnonzero(is_out)
-        index = index[extreme_indices(_worst(table)[index], MAX_POINTS)]
+        rows = np.flatnonzero(is_out)
+        rows = rows[extreme_indices(_worst(table)[rows], MAX_POINTS)]
         crosses: Trace = {
             "type": "scatter",
             "mode": "markers",
             "name": "left out",
-            "x": milliseconds(table.t_utc[index]),
-            "y": _worst(table)[index],
+            "x": milliseconds(table.t_utc[rows]),
+            "y": _worst(table)[rows],
             "marker": {"symbol": "x-thin-open", "color": theme.before, "size": 7},
             "hovertemplate": NT,
         }

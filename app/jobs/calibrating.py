@@ -95,4 +95,5 @@ def warm(_work: object, _report: Report) -> Outcome:
     samples = simulated(SESSIONS[0]).samples
     for method in METHODS:
         found = run(samples, [Sgp4Orbit(tle_of(SESSIONS[0]))], method=method, with_moments=True)
+    run(samples, [Sgp4Orbit(tle_of(SESSIONS[0]))], field="igrf-14+mean")
     return Outcome({}, _blobs(found))

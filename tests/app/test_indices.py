@@ -8,9 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 
 from app.indices.repository import IndexRepository
+from app.indices.tables import FieldFile
 from app.keys.repository import SYSTEM
+from app.upkeep.audit import audit
 from magcal_core.field.index_files import read_index
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "field"
@@ -165,6 +168,19 @@ def test_jobs_and_reprocessings_take_the_index_that_is_there_when_they_start(new
         assert api.post("/jobs", json={**crust, "field_file": "0" * 32}).status_code == 404
         refused = wait(api, api.post("/jobs", json={**crust, "field_file": file["id"]}).json()["id"])
         assert refused["error"]["code"] == "model_range"  # the session is of 2024, the model from 2025 on
+
+
+def test_an_audit_reads_every_file(new_service):
+    service = new_service()
+    with service.client() as api:
+        post(api, "/indices", (DATA / "rc_2024-05.dat").read_bytes())
+        file = post(api, "/field-files", (DATA / "core.shc").read_bytes()).json()
+    store = service.server.config.app.state.store
+    assert audit(service.database, store).findings == ()
+    with service.database.write() as session:
+        row = session.get_one(FieldFile, file["id"])
+        row.content = zstandard.compress(b"another")
+    assert [one.subject for one in audit(service.database, store).findings] == [f"field_file/{file['id']}"]
 
 
 def test_files_whose_hours_came_again_are_not_loaded(new_service):

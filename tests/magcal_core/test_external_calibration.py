@@ -136,11 +136,11 @@ def rc_of_years():
 
 
 def test_intervals_of_the_scale_hold_at_every_inclination():
-    """Five sessions at each of five inclinations with each field; ``python -m benchmarks external`` has a hundred.
+    """Three sessions at each of five inclinations with each field; ``python -m benchmarks external`` has a hundred.
 
-    90 to 100 % are asked for; 88 % of 75 factors, which move together in a session, allows for chance.
+    90 to 100 % are asked for; 84 % of 45 factors, which move together in a session, allows for chance.
     """
     index = rc_of_years()
     for field in ("igrf-14", "igrf-14+mean", "igrf-14+dst", "igrf-14+rc"):
-        held = [scale_held(field, index, at, seed) for at in (10.0, 28.0, 52.0, 70.0, 98.0) for seed in range(5)]
-        assert np.mean(held) >= 0.88, field
+        held = [scale_held(field, index, at, seed) for at in (10.0, 28.0, 52.0, 70.0, 98.0) for seed in range(3)]
+        assert np.mean(held) >= 0.84, field

@@ -44,8 +44,9 @@ def test_calibrate_takes_indices_and_says_so_in_the_record(tmp_path):
 
 def test_a_fault_of_an_index_names_its_file():
     session = DATA / CASES["calibrations"][0]["file"]
-    with pytest.raises(IndexFormatError, match=r"bad_value\.csv: 1 fault"):
+    with pytest.raises(IndexFormatError) as caught:
         called(calibrate, session, "--index", DATA / "bad_value.csv")
+    assert "bad_value.csv: 1 fault" in caught.value.message
     with pytest.raises(IndexMissingError):
         called(calibrate, session, "--field", "igrf-14+dst")
     quiet = DATA / "rc_2021-02.csv"
