@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats, Times
 from magcal_core.attitude.rotation import rotate, unit
 from magcal_core.constants import EARTH_GM_KM3_S2, EARTH_RADIUS_MAGNETIC_KM, EARTH_ROTATION_RAD_S
 from magcal_core.field.external import ExternalField
@@ -16,11 +17,9 @@ from magcal_core.field.igrf import Igrf
 from magcal_core.field.index import HOUR_NS, Index
 from magcal_core.field.summed import SummedField
 from magcal_core.pipeline import calibrate
-from magcal_core.samples import Samples, Times
-from magcal_core.sensor import SensorModel
-from magcal_core.tumbling import Tumbling
-
-Floats = NDArray[np.float64]
+from magcal_core.samples import Samples
+from magcal_core.sensor.model import SensorModel
+from magcal_core.simulation.tumbling import Tumbling
 
 SAMPLES: Final = 480
 STEP_S: Final = 24.0

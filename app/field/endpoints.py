@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from fastapi import APIRouter
 
-from app.auth import Reader
-from app.body import StrictJsonRoute
+from app.access.authentication import Reader
 from app.field.schemas import FieldRead, FieldRequest
+from app.http.dependencies import Db
+from app.http.schemas import core_times
+from app.http.strict_json import StrictJsonRoute
 from app.indices.repository import IndexRepository, sources_of, span_of
-from app.resources import Db
-from app.schemas import core_times
 from magcal_core.field.models import FieldName, field_model
-from magcal_core.orbit.frames import convert_position
+from magcal_core.orbit.earth.frames import convert_position
 
 router = APIRouter(route_class=StrictJsonRoute, tags=["field"])
 

@@ -7,16 +7,16 @@ from typing import Annotated, Final
 from fastapi import APIRouter, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from app.auth import Reader, Station
-from app.body import StrictJsonRoute
+from app.access.authentication import Reader, Station
+from app.access.caller import Caller
+from app.http.dependencies import Config, Db
+from app.http.receiving import receive
+from app.http.schemas import Page, PageQuery
+from app.http.strict_json import StrictJsonRoute
 from app.indices.repository import IndexRepository, require_unbound
 from app.indices.schemas import FieldFileRead, FieldFileUpload, IndexQuery, IndexRead
 from app.indices.tables import FieldFile, IndexFile
-from app.keys.repository import Caller
-from app.resources import Config, Db
-from app.retry import retried
-from app.schemas import Page, PageQuery
-from app.sessions.upload import receive
+from app.storage.retry import retried
 from magcal_core.field.coefficient_files import read_field_file
 from magcal_core.field.index_files import read_index
 

@@ -12,21 +12,22 @@ from sqlalchemy import ColumnElement, exists, select
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session, undefer
 
-from app.database import Base, new_id, utc_now
+from app.access.audit_trail import record_event
+from app.access.caller import SYSTEM, Caller
 from app.errors import NotFoundError, ScopeRequiredError
+from app.http.paging import fetch_page
+from app.http.schemas import PageQuery
 from app.indices.schemas import IndexQuery
 from app.indices.tables import FieldFile, IndexFile
-from app.keys.repository import SYSTEM, Caller, record_event
-from app.paging import fetch_page
-from app.schemas import PageQuery
-from app.store import verified
+from app.storage.database import Base, new_id, utc_now
+from app.storage.store import verified
+from magcal_core.arrays import Times
 from magcal_core.errors import IndexMissingError, OptionError
 from magcal_core.field.coefficient_files import read_field_file
 from magcal_core.field.coefficients import CoefficientFile
 from magcal_core.field.index import INDEX_NAMES, Index
 from magcal_core.field.models import FieldName
 from magcal_core.field.sources import FieldSources
-from magcal_core.samples import Times
 
 MEMORY: Final = timedelta(hours=20_000)
 """How long before a session hours of the index count: the Earth's memory of them is 1e-10 nT by then."""

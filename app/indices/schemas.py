@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from app.schemas import Filter, Name, PageQuery, Record, UtcTime
+from app.http.schemas import Filter, Name, PageQuery, Record, UtcTime
 
 
 class IndexRead(Record):

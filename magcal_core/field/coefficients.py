@@ -7,10 +7,8 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Nanoseconds = NDArray[np.int64]
+from magcal_core.arrays import Floats, Nanoseconds
 
 MOST_DEGREE: Final = 250
 ALWAYS_NS: Final = (-(2**62), 2**62 - 1)

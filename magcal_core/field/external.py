@@ -18,15 +18,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats, Nanoseconds
 from magcal_core.constants import EARTH_RADIUS_MAGNETIC_KM
 from magcal_core.errors import IndexRangeError, ModelRangeError
 from magcal_core.field.external_kernel import add_external
 from magcal_core.field.hourly import CELL_NS, HourlyIndex
 from magcal_core.field.parts import sum_of_parts
 from magcal_core.field.shc import igrf_coefficients
-
-Floats = NDArray[np.float64]
-Nanoseconds = NDArray[np.int64]
 
 GAIN: Final = 0.94
 """G: what of the index is left on the way from the observatories to the orbit."""

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats, Mask, Nanoseconds
 from magcal_core.field import FieldModel
 from magcal_core.field.external import (
     EXTERNAL_KINDS,
@@ -31,10 +31,6 @@ from magcal_core.field.hourly import HourlyIndex
 from magcal_core.field.index import HOUR_NS, Index
 from magcal_core.field.sources import FieldSources
 from magcal_core.field.summed import SummedField
-
-Floats = NDArray[np.float64]
-Nanoseconds = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 RING_INDUCED: Final = 0.27
 """What the ring current induces, as a share of it."""

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats, Nanoseconds, Times
 from magcal_core.constants import EARTH_RADIUS_MAGNETIC_KM
 from magcal_core.errors import ModelRangeError
 from magcal_core.field.coefficients import CoefficientFile
@@ -17,10 +18,7 @@ from magcal_core.field.harmonics import ComponentSeries, series_of
 from magcal_core.field.igrf import MAX_RADIUS_KM, MIN_RADIUS_KM, by_interval, radius_error
 from magcal_core.field.kernel import sum_harmonics
 from magcal_core.field.parts import sum_of_parts
-from magcal_core.orbit.timescales import Times, nanoseconds
-
-Floats = NDArray[np.float64]
-Nanoseconds = NDArray[np.int64]
+from magcal_core.orbit.earth.timescales import nanoseconds
 
 _CELL_NS: Final = 7_200_000_000_000
 """A spline is taken as a line within cells of two hours at most: 1e-6 nT for a change of the change of 100 nT/a^2."""

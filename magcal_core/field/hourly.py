@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from magcal_core.field.index import HOUR_NS, Floats, Index, Mask, Nanoseconds
+from magcal_core.arrays import Floats, Mask, Nanoseconds
+from magcal_core.field.index import HOUR_NS, Index
 
 MOST_BRIDGED: Final = 3
 """Missing hours in a row that are bridged linearly: an error of 3.0, 3.9 and 4.6 nT for one, two and three."""

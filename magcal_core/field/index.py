@@ -7,11 +7,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Nanoseconds = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from magcal_core.arrays import Floats, Nanoseconds
 
 HOUR_NS: Final = 3_600_000_000_000
 INDEX_NAMES: Final = ("RC", "Dst", "Kp")

@@ -10,13 +10,14 @@ from typing import Final
 
 import numpy as np
 
+from magcal_core.arrays import Indices
 from magcal_core.errors import ModelRangeError, OptionError
 from magcal_core.field import FieldModel
 from magcal_core.field.dipole import DirectDipole
 from magcal_core.field.external import EXTERNAL_KINDS, ExternalField
 from magcal_core.field.file_model import FileField
 from magcal_core.field.igrf import MAX_DEGREE, Igrf
-from magcal_core.field.sources import FieldFile, FieldSources, Indices
+from magcal_core.field.sources import FieldFile, FieldSources
 from magcal_core.field.summed import SummedField
 from magcal_core.options import INDEX_GAPS
 

@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats, Nanoseconds, Times
 from magcal_core.field import FieldModel
 from magcal_core.field.external import ExternalField
 from magcal_core.field.file_model import FileField
-from magcal_core.orbit.timescales import Times, nanoseconds
-
-Floats = NDArray[np.float64]
-Nanoseconds = NDArray[np.int64]
+from magcal_core.orbit.earth.timescales import nanoseconds
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import zstandard
 
+from app.access.caller import SYSTEM
 from app.indices.repository import IndexRepository
 from app.indices.tables import FieldFile
-from app.keys.repository import SYSTEM
-from app.upkeep.audit import audit
+from app.maintenance.audit import audit
 from magcal_core.field.index_files import read_index
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "field"

@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from magcal_core.arrays import Floats
 from magcal_core.field.coefficient_files.table import (
     Faults,
     check_degrees,
@@ -15,7 +16,7 @@ from magcal_core.field.coefficient_files.table import (
     whole,
     year_ns,
 )
-from magcal_core.field.coefficients import CoefficientFile, Floats
+from magcal_core.field.coefficients import CoefficientFile
 
 VALID_YEARS: Final = 5
 _END: Final = "9999"

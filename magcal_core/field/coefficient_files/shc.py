@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from magcal_core.arrays import Floats, Nanoseconds
 from magcal_core.field.coefficient_files.table import (
     Faults,
     check_complete,
@@ -16,7 +17,7 @@ from magcal_core.field.coefficient_files.table import (
     whole,
     year_ns,
 )
-from magcal_core.field.coefficients import ALWAYS_NS, CoefficientFile, Floats, Nanoseconds
+from magcal_core.field.coefficients import ALWAYS_NS, CoefficientFile
 
 MOST_ORDER: Final = 12
 _OTHER_YEARS: Final = "decimal years format (false)"

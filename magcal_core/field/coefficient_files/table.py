@@ -8,8 +8,9 @@ from typing import Final
 
 import numpy as np
 
+from magcal_core.arrays import Floats
 from magcal_core.errors import Fault, FieldFileError
-from magcal_core.field.coefficients import MOST_DEGREE, Floats
+from magcal_core.field.coefficients import MOST_DEGREE
 
 _NUMBER: Final = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _WHOLE: Final = re.compile(r"[+-]?\d{1,6}", re.ASCII)

@@ -7,7 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from magcal_core.field.index import HOUR_NS, Floats, Index
+from magcal_core.arrays import Floats
+from magcal_core.field.index import HOUR_NS, Index
 from magcal_core.field.index_files.rows import Rows, data_lines, number_of
 
 MJD2000_NS: Final = int(np.datetime64("2000-01-01", "ns").astype(np.int64))

@@ -7,8 +7,9 @@ from typing import Final
 
 import numpy as np
 
+from magcal_core.arrays import Floats
 from magcal_core.errors import IndexFormatError
-from magcal_core.field.index import HOUR_NS, Floats, Index
+from magcal_core.field.index import HOUR_NS, Index
 from magcal_core.field.index_files.dtu_rc import add_hours
 from magcal_core.field.index_files.rows import Rows
 

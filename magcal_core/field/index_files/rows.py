@@ -9,8 +9,9 @@ from typing import Final
 
 import numpy as np
 
+from magcal_core.arrays import Floats, Nanoseconds
 from magcal_core.errors import Fault, IndexFormatError, InputError, TimeZoneMissingError
-from magcal_core.field.index import Floats, Index, Nanoseconds
+from magcal_core.field.index import Index
 
 LARGEST_NT: Final = 2000.0
 """Largest value of RC or Dst, nT: the storm of 1859 is put at 900 to 1750."""

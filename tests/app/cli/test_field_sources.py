@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from app import figures
 from app.cli.calibrate import command as calibrate
 from app.cli.simulate import command as simulate
-from app.records import parse_parameter_set
-from app.report import command_line, render_report
+from app.records.parameter_set import parse_parameter_set
+from app.reporting import figures
+from app.reporting.report import command_line, render_report
 from magcal_core.errors import IndexFormatError, IndexMissingError, IndexRangeError
 from magcal_core.pipeline import calibrate as run
 from magcal_core.telemetry import read_samples

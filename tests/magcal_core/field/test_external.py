@@ -12,8 +12,8 @@ from magcal_core.errors import IndexMissingError, IndexRangeError, InputError, M
 from magcal_core.field.external import GAIN, UNIFORM_NT, geomagnetic_axis, shapes
 from magcal_core.field.external_knowledge import ExternalKnowledge
 from magcal_core.field.sources import FieldSources
-from magcal_core.field_along import Stretches, field_along
-from magcal_core.missions import draw_orbit
+from magcal_core.reference.field_along_orbit import Stretches, field_along
+from magcal_core.simulation.missions import draw_orbit
 
 DATA = Path(__file__).resolve().parents[2] / "data" / "field"
 CASES = json.loads((DATA / "cases.json").read_text())
