@@ -32,10 +32,11 @@ from app.indices import endpoints as indices
 from app.jobs import endpoints as jobs
 from app.jobs.engines.open_engine import Engine, open_engine
 from app.monitoring import endpoints as monitoring
+from app.monitoring import rollouts, trends
 from app.operations import health
 from app.orbits import endpoints as orbits
+from app.parameter_sets import bias_paths, pointing, refits
 from app.parameter_sets import endpoints as parameter_sets
-from app.parameter_sets import pointing, refits
 from app.parameter_sets.json_listing import Texts
 from app.satellites import endpoints as satellites
 from app.sessions import endpoints as sessions
@@ -57,6 +58,9 @@ ROOMS: Final = (
     parameter_sets,
     pointing,
     refits,
+    bias_paths,
+    trends,
+    rollouts,
     field,
     indices,
     keys,

@@ -18,10 +18,10 @@ from typing import Final
 import numpy as np
 
 from benchmarks.measure import Figure, interleaved_s
-from magcal_core.external_missions import scale_held
 from magcal_core.field.index import Index
 from magcal_core.field.index_files import read_index
 from magcal_core.field.models import field_model
+from magcal_core.simulation.external_missions import scale_held
 
 IS_STUDY = True
 SESSIONS: Final = 100

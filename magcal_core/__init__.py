@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from magcal_core.calibration.refit.refit import RefitOptions as RefitOptions
     from magcal_core.calibration.refit.refit import refit as refit
     from magcal_core.calibration.result import Calibration as Calibration
+    from magcal_core.calibration.sessions.trend import Trend as Trend
+    from magcal_core.calibration.sessions.trend import trend as trend
+    from magcal_core.calibration.terms.bias_path import bias_path as bias_path
+    from magcal_core.calibration.terms.bias_steps import bias_steps as bias_steps
     from magcal_core.field.coefficient_files import read_field_file as read_field_file
     from magcal_core.field.coefficients import CoefficientFile as CoefficientFile
     from magcal_core.field.dipole import DirectDipole as DirectDipole
@@ -48,6 +52,9 @@ _HOME: Final[dict[str, str]] = {
     "SensorModel": "sensor.model",
     "Sgp4Orbit": "orbit.propagators.sgp4",
     "StateVector": "orbit.messages.state",
+    "Trend": "calibration.sessions.trend",
+    "bias_path": "calibration.terms.bias_path",
+    "bias_steps": "calibration.terms.bias_steps",
     "calibrate": "pipeline",
     "field_model": "field.models",
     "parse_orbits": "orbit.sources",
@@ -56,6 +63,7 @@ _HOME: Final[dict[str, str]] = {
     "read_samples": "telemetry",
     "refit": "calibration.refit.refit",
     "simulate": "simulation.telemetry",
+    "trend": "calibration.sessions.trend",
     "with_reference": "reference.columns",
 }
 

@@ -9,7 +9,8 @@ from typing import Unpack
 
 import numpy as np
 
-from magcal_core.arrays import Indices, Progress
+from magcal_core.arrays import Progress
+from magcal_core.bias_in_session import Session, wants_moments, with_moving_bias
 from magcal_core.calibration.diagnosis.device_steps import steps_of
 from magcal_core.calibration.diagnosis.mounting import mounting_of
 from magcal_core.calibration.diagnosis.residual_table import residual_table
@@ -27,7 +28,7 @@ from magcal_core.calibration.verdict.assessment import Circumstances, Judgement,
 from magcal_core.errors import FrameError, IndexRangeError, OrbitMissingError
 from magcal_core.estimation import _Estimate, _estimate, _still
 from magcal_core.field.external_knowledge import Storm
-from magcal_core.field.sources import FieldFile, FieldSources
+from magcal_core.field.sources import FieldFile, FieldSources, GivenIndices
 from magcal_core.observations import Observations
 from magcal_core.options import CalibrationOptions, OptionValues
 from magcal_core.orbit import Orbit
@@ -47,7 +48,7 @@ def calibrate(
     orbits: Sequence[Orbit] = (),
     options: CalibrationOptions | None = None,
     *,
-    index: Indices = None,
+    index: GivenIndices = None,
     field_file: FieldFile = None,
     active: ActiveSet | None = None,
     with_moments: bool = False,
@@ -111,8 +112,21 @@ def calibrate(
     what = (estimate.estimator, estimate.observations, estimate.fit, estimate.settings)
     judgement = judgement_of(*what, circumstances, None if estimate.clock is None else estimate.clock.honest)
     tell(0.95)
-    moments = _moments(referenced, estimate, judgement) if with_moments else None
-    calibration = _assemble(referenced, estimate, judgement, left_out, suspected, moments)
+    moments = _moments(referenced, estimate, judgement) if with_moments or wants_moments(chosen) else None
+    calibration = _assemble(referenced, estimate, judgement, left_out, suspected, moments if with_moments else None)
+
+    def again(part: Samples, options: CalibrationOptions) -> Calibration:
+        return calibrate(
+            part,
+            orbits,
+            options,
+            index=sources.indices,
+            field_file=sources.file,
+            active=active,
+            with_moments=with_moments,
+        )
+
+    calibration = with_moving_bias(calibration, moments, Session(samples, orbits, chosen), again)
     tell(1.0)
     return calibration
 

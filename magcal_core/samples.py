@@ -39,6 +39,8 @@ class SampleFlag(enum.IntFlag):
     """a housekeeping column has no value here"""
     NOT_QUIET = 512
     """only quiet hours were asked for, and this one is not known to be quiet"""
+    BIAS_STEP = 4096
+    """in one of the two blocks of time about a step of the bias that the fit has as an unknown"""
 
 
 EXCLUDED: Final = (
@@ -48,6 +50,7 @@ EXCLUDED: Final = (
     | SampleFlag.SATURATED
     | SampleFlag.NO_REFERENCE
     | SampleFlag.NOT_QUIET
+    | SampleFlag.BIAS_STEP
 )
 """Flags that keep a sample out of every fit."""
 

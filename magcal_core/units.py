@@ -1,6 +1,8 @@
-"""Units of magnetic flux density and their factors to nT; inside the core everything is nT, km, s, rad."""
+"""Units of magnetic flux density and their factors to nT, and UTC as text; inside all is nT, km, s, rad."""
 
 from typing import Final
+
+import numpy as np
 
 from magcal_core.errors import UnitsError, UnitsMissingError
 
@@ -23,3 +25,8 @@ def nt_per(unit: str | None) -> float:
     if unit not in NT_PER_UNIT:
         raise UnitsError(f"unknown unit {unit!r}; known are {', '.join(NT_PER_UNIT)}")
     return NT_PER_UNIT[unit]
+
+
+def utc_text(t_utc: np.datetime64) -> str:
+    """Return ``t_utc`` in ISO 8601 with ``Z`` and microseconds."""
+    return f"{np.datetime_as_string(t_utc, unit='us')}Z"

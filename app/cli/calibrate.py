@@ -21,6 +21,7 @@ from app.cli.options import (
     ColumnMap,
     F,
     LateProgress,
+    Windows,
     added,
     field_options,
     orbits_of_file,
@@ -28,7 +29,15 @@ from app.cli.options import (
     usage_error,
 )
 from magcal_core.errors import InputError, OptionError
-from magcal_core.options import METHODS, NOISE_MODELS, ORBIT_MODELS, ROBUST_LOSSES, TIME_OFFSETS, CalibrationOptions
+from magcal_core.options import (
+    BIAS_STEPS,
+    METHODS,
+    NOISE_MODELS,
+    ORBIT_MODELS,
+    ROBUST_LOSSES,
+    TIME_OFFSETS,
+    CalibrationOptions,
+)
 from magcal_core.units import NT_PER_UNIT
 
 if TYPE_CHECKING:
@@ -84,6 +93,10 @@ def _estimation_options(function: F) -> F:
         click.option("--robust", type=click.Choice(ROBUST_LOSSES), help="Loss.  [default: none]"),
         click.option("--noise-model", type=click.Choice(NOISE_MODELS), help="[default: none]"),
         click.option("--noise", "noise_nt", type=float, help="Noise of a component, nT, where it is known."),
+        click.option("--bias-steps", type=click.Choice(BIAS_STEPS),
+                     help="Steps of the bias inside the data: named, fitted, or not looked for.  [default: auto]"),
+        click.option("--windows", type=Windows(),
+                     help="Calibrate windows of so many hours, or auto, one by one as well, with their trend."),
         click.option("--bootstrap", type=int, help="Replicates of the block bootstrap.  [default: 0]"),
         click.option("--seed", type=int, help="Seed of the bootstrap.  [default: 0]"),
     ])  # fmt: skip

@@ -22,6 +22,7 @@ COMMANDS: Final[dict[str, str]] = {
     "calibrate": "Calibrate telemetry files with no server: files in, parameter set out.",
     "simulate": "Simulate the telemetry of a tumbling satellite, with its truth beside it.",
     "push": "Send telemetry to a magcal service; safe to repeat.",
+    "trend": "Parameters over many sets: where they are now, how long the active set stays good.",
     "report": "The report of a parameter set as one HTML file, or PDF.",
     "convert": "Convert parameters between conventions, loss-free.",
     "rom": "Simulate attitude control by magnetometer, gyros and wheels.",

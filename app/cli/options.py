@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 import click
 
 from magcal_core.errors import InputError, OptionError
-from magcal_core.options import INDEX_GAPS
+from magcal_core.field.gaps import INDEX_GAPS
 
 if TYPE_CHECKING:
     import numpy as np
@@ -74,6 +74,21 @@ class ColumnMap(click.ParamType[Mapping[str, str]]):
         if not isinstance(columns, dict) or not all(isinstance(own, str) for own in columns.values()):
             self.fail('want {"time": "ts", "bx": "mag_0", ...}', param, ctx)
         return columns
+
+
+class Windows(click.ParamType[float | str]):
+    """Hours of a window, or ``auto``."""
+
+    name = "HOURS|auto"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float | str:
+        """Return the hours of ``value``, or ``auto``."""
+        if value == "auto":
+            return "auto"
+        try:
+            return float(str(value))
+        except ValueError:
+            self.fail(f"{value!r}: want hours, or auto", param, ctx)
 
 
 class VectorCommand(click.Command):

@@ -7,7 +7,7 @@ from typing import Annotated, Final
 from fastapi import APIRouter, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from app.access.authentication import Reader, Station
+from app.access.authentication import Reader, Station, authenticate
 from app.access.caller import Caller
 from app.http.dependencies import Config, Db
 from app.http.receiving import receive
@@ -58,7 +58,7 @@ async def create_index(request: Request, response: Response, caller: Station, db
     """Send an index file for all satellites; an hour has the value that came last."""
     require_unbound(caller)
     async with request.app.state.uploads.place(caller):
-        upload = await receive(request, config)
+        upload = await receive(request, config, authenticate)
         found, is_new = await run_in_threadpool(_keep_index, upload.content, caller, db)
     response.status_code = 201 if is_new else 200
     return found
@@ -107,7 +107,7 @@ async def create_field_file(
     """Send a file of coefficients for all satellites; jobs name it by its id."""
     require_unbound(caller)
     async with request.app.state.uploads.place(caller):
-        upload = await receive(request, config)
+        upload = await receive(request, config, authenticate)
         found, is_new = await run_in_threadpool(_keep_file, upload.content, query.name, caller, db)
     response.status_code = 201 if is_new else 200
     return found

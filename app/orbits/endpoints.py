@@ -8,7 +8,7 @@ from typing import Annotated, Final
 from fastapi import APIRouter, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from app.access.authentication import OrbitSource, Reader
+from app.access.authentication import OrbitSource, Reader, authenticate
 from app.access.caller import Caller
 from app.http.dependencies import Config, Db
 from app.http.receiving import receive
@@ -55,7 +55,7 @@ async def create_orbits(
     """Send the orbits of a satellite; those that are there already are not kept twice."""
     await run_in_threadpool(_require, satellite_id, caller, db)
     async with request.app.state.uploads.place(caller):
-        upload = await receive(request, config)
+        upload = await receive(request, config, authenticate)
         orbits, is_any_new = await run_in_threadpool(_keep, satellite_id, upload.content, upload.media_type, caller, db)
     response.status_code = 201 if is_any_new else 200
     return orbits

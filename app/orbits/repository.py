@@ -14,14 +14,20 @@ from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.errors import NotFoundError
 from app.http.paging import fetch_page
+from app.http.schemas import utc_text
 from app.orbits.parsing import ParsedOrbit
 from app.orbits.schemas import OrbitQuery
 from app.orbits.tables import OrbitRow
 from app.satellites.repository import SatelliteRepository
 from app.storage.database import new_id, utc_now
 from app.storage.store import digest
+from magcal_core.errors import OptionError
 
-MOST_CANDIDATES: Final = 400
+MOST_EPHEMERIDES: Final = 400
+"""Ephemerides, of some megabytes each, that one calibration takes."""
+MOST_STATES: Final = 20_000
+"""TLEs, OMMs and state vectors that one calibration takes: four a day for thirteen years."""
+NEAR_DAYS: Final = 1.0
 ROWS_AT_ONCE: Final = 500
 """Orbits that one statement asks for."""
 
@@ -89,15 +95,31 @@ class OrbitRepository:
         return fetch_page(self.session, statement, (OrbitRow.epoch, OrbitRow.id), query)
 
     def around(self, begin: datetime, end: datetime, margin_days: float) -> list[OrbitRow]:
-        """Return the orbits that may serve data from ``begin`` to ``end``, and the nearest on each side in any case."""
+        """Return every orbit that may serve data from ``begin`` to ``end``, in the order of their epochs.
+
+        These are the ephemerides that cover a part of them, the states and elements with epochs among them and up to a
+        day around them (at most ``margin_days``), and the nearest one on each side in any case: farther ones are never
+        the nearest to any of the data, also where their clock is off.
+
+        Raises
+        ------
+        OptionError
+            There are more of them than one calibration takes; none is left out silently.
+        """
         own = select(OrbitRow).where(OrbitRow.satellite_id == self.satellite_id)
         free = own.where(OrbitRow.until.is_(None))
-        margin = timedelta(days=margin_days)
+        margin = timedelta(days=min(margin_days, NEAR_DAYS))
         inside = free.where(OrbitRow.epoch.between(begin - margin, end + margin)).order_by(OrbitRow.epoch)
         covering = own.where(OrbitRow.epoch <= end, OrbitRow.until >= begin)
         before = free.where(OrbitRow.epoch <= begin).order_by(OrbitRow.epoch.desc()).limit(1)
-        after = free.where(OrbitRow.epoch >= begin).order_by(OrbitRow.epoch).limit(1)
-        found: dict[str, OrbitRow] = {}
-        for statement in (before, after, covering.limit(MOST_CANDIDATES), inside.limit(MOST_CANDIDATES)):
-            found |= {row.id: row for row in self.session.scalars(statement)}
+        after = free.where(OrbitRow.epoch >= end).order_by(OrbitRow.epoch).limit(1)
+        found = {row.id: row for statement in (before, after) for row in self.session.scalars(statement)}
+        for statement, most, kind in ((covering, MOST_EPHEMERIDES, "ephemerides"), (inside, MOST_STATES, "TLEs")):
+            rows = self.session.scalars(statement.limit(most + 1)).all()
+            if len(rows) > most:
+                raise OptionError(
+                    f"more than {most} {kind} serve the data from {utc_text(begin)} to {utc_text(end)}: calibrate less "
+                    "of them at a time"
+                )
+            found |= {row.id: row for row in rows}
         return sorted(found.values(), key=lambda row: (row.epoch, row.id))

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Final
 from fastapi import APIRouter, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from app.access.authentication import Operator, Reader
+from app.access.authentication import Operator, Reader, authenticate
 from app.access.caller import Caller
 from app.http.dependencies import Blobs, Config, Db
 from app.http.entity_tags import UNCHANGED, is_known, tagged_json, unchanged
@@ -131,7 +131,7 @@ async def apply_parameter_set(
     """Correct telemetry to nT in time order; `inverse=true` turns that back into raw readings in their own unit."""
     row, sensor = await run_in_threadpool(_row_and_sensor, parameter_set_id, caller, db)
     async with request.app.state.uploads.place(caller):
-        upload = await receive(request, config)
+        upload = await receive(request, config, authenticate)
         sent = MEDIA_TYPES.get(upload.media_type.partition(";")[0].strip().lower(), "csv")
         form = wanted_format(request, query.format, sent)
         samples = await run_in_threadpool(_applied, row, sensor, upload, config, inverse=query.inverse)

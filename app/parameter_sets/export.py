@@ -36,6 +36,7 @@ def exported(record: ParameterSetRead, convention: str, form: str) -> tuple[str,
     if convention == "symmetric":
         parameters["rotation"] = rotation_of_symmetric(record.correction_matrix, parameters["matrix"])
     sensor = SensorModel(*(np.array(exact[name]) for name in ("bias_nt", "scale", "nonorthogonality_deg")))
+    base = {name: exact[name] for name in ("time_base_utc",) if name in exact}
     document = {
         "id": record.id,
         "satellite": record.satellite,
@@ -47,7 +48,8 @@ def exported(record: ParameterSetRead, convention: str, form: str) -> tuple[str,
         "field_model": record.field_model,
         "verdict": record.verdict.grade,
         "convention": convention,
-        "formula": formula(convention, list(exact["regressors"])),
+        **base,
+        "formula": formula(convention, list(exact["regressors"]), is_since="time_base_utc" in exact),
         "parameters": parameters,
         "correction_matrix": record.correction_matrix,
         "worked_example": {

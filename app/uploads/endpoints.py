@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from app.access.authentication import Station
+from app.access.authentication import Station, authenticate
 from app.access.caller import Caller
 from app.access.idempotency import KeyHeader
 from app.http.dependencies import Config, Db
@@ -62,7 +62,7 @@ async def upload_session(
         await run_in_threadpool(_check_day, request, caller, state.database, state.settings)
     with state.running.hold(caller, key):
         async with state.uploads.place(caller):
-            upload = await receive(request, state.settings)
+            upload = await receive(request, state.settings, authenticate)
             kept = await state.keeper.keep(Asked(caller, satellite_id, query, upload, key))
     response.status_code = 201 if kept.is_new else 200
     response.headers["Location"] = f"/api/v1/sessions/{kept.session.id}"
@@ -77,7 +77,7 @@ async def append_samples(
     await run_in_threadpool(_get_row, session_id, caller, db)
     await run_in_threadpool(_check_day, request, caller, db, config)
     async with request.app.state.uploads.place(caller):
-        upload = await receive(request, config)
+        upload = await receive(request, config, authenticate)
         return session_read(await run_in_threadpool(ingest.append, caller, session_id, upload))
 
 

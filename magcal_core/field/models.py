@@ -10,16 +10,15 @@ from typing import Final
 
 import numpy as np
 
-from magcal_core.arrays import Indices
 from magcal_core.errors import ModelRangeError, OptionError
 from magcal_core.field import FieldModel
 from magcal_core.field.dipole import DirectDipole
 from magcal_core.field.external import EXTERNAL_KINDS, ExternalField
 from magcal_core.field.file_model import FileField
+from magcal_core.field.gaps import INDEX_GAPS
 from magcal_core.field.igrf import MAX_DEGREE, Igrf
-from magcal_core.field.sources import FieldFile, FieldSources
+from magcal_core.field.sources import FieldFile, FieldSources, GivenIndices
 from magcal_core.field.summed import SummedField
-from magcal_core.options import INDEX_GAPS
 
 MAIN_FIELDS: Final[Mapping[str, Callable[[], Igrf | DirectDipole]]] = {
     "igrf": Igrf,
@@ -85,7 +84,7 @@ def field_model(
     max_degree: int | None = None,
     frozen_epoch: np.datetime64 | None = None,
     *,
-    index: Indices = None,
+    index: GivenIndices = None,
     field_file: FieldFile = None,
     index_gap: str = "refuse",
     sources: FieldSources | None = None,

@@ -18,7 +18,7 @@ from magcal_core.field.index import Index
 from magcal_core.field.index_files.read import read_index
 
 OneIndex = Index | str | Path | bytes | BinaryIO
-Indices = OneIndex | Sequence[OneIndex] | None
+GivenIndices = OneIndex | Sequence[OneIndex] | None
 FieldFile = CoefficientFile | str | Path | bytes | BinaryIO | None
 
 
@@ -36,7 +36,7 @@ class FieldSources:
     file: CoefficientFile | None = None
 
     @classmethod
-    def of(cls, index: Indices = None, field_file: FieldFile = None) -> FieldSources:
+    def of(cls, index: GivenIndices = None, field_file: FieldFile = None) -> FieldSources:
         """Return the sources that are given as values, as paths, as bytes or as open files.
 
         Raises

@@ -15,6 +15,7 @@ from magcal_core.field import FieldModel
 from magcal_core.numerics.vectors import lengths
 from magcal_core.orbit import Orbit
 from magcal_core.orbit.choose import MAX_AGE_DAYS, NO_ORBIT, BoundedOrbit, check_age, choose_orbits
+from magcal_core.orbit.earth.eop import earth_orientation, ut1_prediction_error_s
 from magcal_core.orbit.earth.timescales import nanoseconds
 from magcal_core.reference.field_along_orbit import Part, field_of_parts, positions_km
 from magcal_core.samples import SampleFlag, Samples
@@ -111,9 +112,23 @@ def _from_orbits(
         raise OrbitMissingError(_not_covered(orbits, samples.t_utc))
     if gap := np.count_nonzero(~has_place):
         warnings.append(f"orbit_gap: no orbit covers {gap} of {len(samples)} samples")
+    warnings += _predicted_earth(t_true)
     report = ReferenceReport("+".join(sorted(models)), tuple(entries), field.name, tuple(warnings))
     cleared = samples.flags & ~np.where(has_place, np.uint16(SampleFlag.NO_REFERENCE), np.uint16(0))
     return _with_field(replace(samples, flags=cleared), t_true, r_itrf_km, parts, field), report
+
+
+def _predicted_earth(t_utc: Times) -> list[str]:
+    """Return the warning that the Earth's orientation at some of the times is a prediction, where it is one."""
+    table = earth_orientation()
+    days = table.predicted_days(t_utc)
+    if days <= 0.0:
+        return []
+    last = np.datetime_as_string(table.predicted_from - np.timedelta64(1, "D"), unit="D")
+    return [
+        f"earth_orientation_predicted: UT1 and the pole are measured until {last} and predicted for up to {days:.0f} d "
+        f"beyond it, UT1 to {1e3 * ut1_prediction_error_s(days):.1f} ms; a newer astropy-iers-data reaches further"
+    ]
 
 
 def _places(

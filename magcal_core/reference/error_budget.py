@@ -18,6 +18,7 @@ from magcal_core.field.file_model import FileField
 from magcal_core.field.igrf import MAX_DEGREE
 from magcal_core.field.summed import SummedField
 from magcal_core.numerics.vectors import lengths
+from magcal_core.orbit.earth.eop import earth_orientation, ut1_prediction_error_s
 from magcal_core.orbit.earth.timescales import nanoseconds
 from magcal_core.samples import Samples
 
@@ -49,6 +50,7 @@ EXTERNAL_COMPONENT_NT: Final = 18.0
 
 _PLACES: Final = 64
 _STEP_KM: Final = 5.0
+_TURN_RAD: Final = 1e-3
 _MOST_STEP: Final = np.timedelta64(300, "s")
 
 
@@ -154,6 +156,22 @@ def _positional(samples: Samples, source: ReferenceSource) -> Iterator[BudgetIte
         clock_s = source.clock_error_s if source.clock_error_s is not None else UNSEEN_CLOCK_S
         how = "standard error of the estimated offset" if is_known else "the largest offset that stays unseen"
         yield BudgetItem("clock", rate * clock_s, f"{clock_s:.2g} s ({how}) x {rate:.2g} nT/s")
+        yield from _earth_orientation(samples, source)
+
+
+def _earth_orientation(samples: Samples, source: ReferenceSource) -> Iterator[BudgetItem]:
+    """Yield what an error of predicted UT1 does, which turns the Earth under the orbit."""
+    days, places = earth_orientation().predicted_days(samples.t_utc), _places(samples)
+    if days <= 0.0 or places is None:
+        return
+    t_utc, r_km, _ = places
+    eastward_km = _TURN_RAD * np.cross([0.0, 0.0, 1.0], r_km)
+    ahead, behind = (source.field.field_itrf_nt(t_utc, r_km + sign * eastward_km) for sign in (1.0, -1.0))
+    per_rad = _difference_nt(ahead, behind, is_vector=source.is_vector) / (2.0 * _TURN_RAD)
+    error_s = ut1_prediction_error_s(days)
+    turn_rad = EARTH_ROTATION_RAD_S * error_s
+    why = f"UT1 predicted for {days:.0f} d, {1e3 * error_s:.1f} ms, {1e6 * turn_rad:.2g} urad of turn"
+    yield BudgetItem("earth_orientation", per_rad * turn_rad, why)
 
 
 def _gradients(samples: Samples, source: ReferenceSource) -> _Gradients | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,6 @@ from magcal_core.field.external_knowledge import ExternalKnowledge
 from magcal_core.field.models import field_model
 from magcal_core.field.sources import FieldSources
 from magcal_core.observations import Observations
-from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
 from magcal_core.orbit.earth.timescales import nanoseconds
 from magcal_core.reference.columns import (
@@ -58,6 +57,40 @@ def in_time_order(samples: Samples) -> Samples:
     return ordered.flagged(SampleFlag.NOT_FINITE, is_bad)
 
 
+class ReferenceOptions(Protocol):
+    """What the options of a calibration say of the reference."""
+
+    @property
+    def field(self) -> str:
+        """Field model by name."""
+        ...
+
+    @property
+    def field_max_degree(self) -> int | None:
+        """Degree that the model is cut at, None for its own."""
+        ...
+
+    @property
+    def index_gap(self) -> str:
+        """What is done where the index of the external field has no value."""
+        ...
+
+    @property
+    def quiet_only(self) -> bool:
+        """Whether only samples of quiet hours count."""
+        ...
+
+    @property
+    def orbit(self) -> str:
+        """``sgp4`` as the elements are meant, or ``numerical``."""
+        ...
+
+    @property
+    def max_orbit_age_days(self) -> float:
+        """Orbits further from the data are refused, days."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Referenced:
     """Samples with their reference field.
@@ -85,7 +118,7 @@ class Referenced:
         cls,
         samples: Samples,
         orbits: Sequence[Orbit],
-        options: CalibrationOptions,
+        options: ReferenceOptions,
         sources: FieldSources | None = None,
     ) -> Referenced:
         """Return ``samples`` in time order with their reference, of which ``sources`` have index and coefficients.

@@ -10,8 +10,8 @@ import pytest
 
 import magcal_core as mc
 from magcal_core.errors import IndexMissingError, IndexRangeError, OptionError, TooFewSamplesError
-from magcal_core.external_missions import scale_held
 from magcal_core.samples import SampleFlag
+from magcal_core.simulation.external_missions import scale_held
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "field"
 CASES = json.loads((DATA / "cases.json").read_text())

@@ -17,14 +17,13 @@ from app.records.residual_table import residual_table
 from app.sessions.repository import samples_of
 from magcal_core.calibration.result import Calibration
 from magcal_core.calibration.sessions.monitoring import ActiveSet
+from magcal_core.compile_kernels import calibrate_made_up_session
 from magcal_core.errors import EstimationError, InputError
 from magcal_core.field.sources import FieldSources
 from magcal_core.options import METHODS, CalibrationOptions
 from magcal_core.orbit import Orbit
-from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
 from magcal_core.pipeline import calibrate as run
 from magcal_core.sessions import calibrate_jointly
-from magcal_core.simulation.dekart_mission import SESSIONS, simulated, tle_of
 
 
 def calibrate(work: object, report: Report) -> Outcome:
@@ -92,8 +91,6 @@ def _complete_provenance(provenance: dict[str, object], work: CalibrationWork) -
 
 def warm(_work: object, _report: Report) -> Outcome:
     """Calibrate made-up sessions, so that a new child has everything loaded and compiled."""
-    samples = simulated(SESSIONS[0]).samples
     for method in METHODS:
-        found = run(samples, [Sgp4Orbit(tle_of(SESSIONS[0]))], method=method, with_moments=True)
-    run(samples, [Sgp4Orbit(tle_of(SESSIONS[0]))], field="igrf-14+mean")
+        found = calibrate_made_up_session(method)
     return Outcome({}, _blobs(found))

@@ -2,9 +2,16 @@
 
 import json
 import time
+from datetime import UTC, datetime, timedelta
 
 import pytest
+from sqlalchemy import select
 
+from app.access.caller import SYSTEM
+from app.orbits.nearest import chosen
+from app.orbits.repository import OrbitRepository
+from app.orbits.tables import OrbitRow
+from magcal_core.errors import OptionError
 from magcal_core.simulation.dekart_mission import tle_text
 
 TEXT = {"content-type": "text/plain"}
@@ -131,6 +138,31 @@ def test_the_tles_of_a_mission_are_kept_at_once(api, satellite):
     assert [one["id"] for one in again.json()["items"]] == ids
     epochs = [one["epoch"] for one in first.json()["items"]]
     assert epochs == sorted(epochs)
+
+
+def test_a_long_session_is_served_by_all_its_tles(api, service, satellite):
+    """1,500 TLEs over two years, a session over nearly all of them: each is the nearest to some of the data."""
+    send(api, satellite, mission_tles(1500))
+    begin, end = datetime(2021, 3, 1, tzinfo=UTC), datetime(2022, 11, 1, tzinfo=UTC)
+    with service.database.read() as session:
+        orbits = OrbitRepository(session, SYSTEM, satellite)
+        rows = orbits.around(begin, end, 14.0)
+        every = {
+            row.id: row.epoch for row in session.scalars(select(OrbitRow).where(OrbitRow.satellite_id == satellite))
+        }
+        inside = {one for one, epoch in every.items() if begin <= epoch <= end}
+        assert len(inside) > 1000
+        assert inside <= {row.id for row in rows}
+        for at in (begin, end, begin - timedelta(hours=12), end + timedelta(hours=12)):
+            assert chosen(rows, at).epoch == min(every.values(), key=lambda epoch: abs(epoch - at))
+
+
+def test_more_orbits_than_a_calibration_takes_are_refused_and_not_cut(api, service, satellite, monkeypatch):
+    send(api, satellite, mission_tles(40))
+    monkeypatch.setattr("app.orbits.repository.MOST_STATES", 10)
+    with service.database.read() as session, pytest.raises(OptionError, match="more than 10 TLEs serve the data"):
+        orbits = OrbitRepository(session, SYSTEM, satellite)
+        orbits.around(datetime(2021, 1, 1, tzinfo=UTC), datetime(2022, 12, 31, tzinfo=UTC), 14.0)
 
 
 def test_an_orbit_that_stands_twice_in_a_message_is_kept_once(api, satellite):
