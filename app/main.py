@@ -31,6 +31,7 @@ from app.http.middleware.upload_gate import UploadGate
 from app.http.openapi import complete
 from app.http.problem_handlers import install_handlers
 from app.http.receiving import Admission, sweep_incoming
+from app.indices import endpoints as indices
 from app.jobs import endpoints as jobs
 from app.jobs.engines.open_engine import Engine, open_engine
 from app.monitoring import endpoints as monitoring
@@ -68,6 +69,7 @@ ROOMS: Final = (
     rollouts,
     aboard,
     field,
+    indices,
     keys,
     displays,
     notifications,

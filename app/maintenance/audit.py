@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import zstandard
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from app.errors import StoredObjectCorruptError
+from app.indices.tables import FieldFile, IndexFile
 from app.jobs.tables import Job
 from app.parameter_sets.tables import ParameterSet, ParameterSetSession
 from app.sessions.repository import identity
 from app.sessions.tables import Chunk, TelemetrySession
 from app.storage.database import Database, DatabaseNow
 from app.storage.migration import require_head
-from app.storage.store import Store, columns_key, moments_key, raw_key, residuals_key, series_key
+from app.storage.store import Store, columns_key, digest, moments_key, raw_key, residuals_key, series_key
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +114,19 @@ class _Auditor:
                 Finding("past_lease", row.id, "the job's lease ended a minute ago and nobody took it up")
             )
 
+    def field_sources(self) -> None:
+        """Look at every index file and file of coefficients: are its bytes those of its digest?"""
+        for kind in (IndexFile, FieldFile):
+            rows = self._session.execute(select(kind.id, kind.sha256, kind.content).execution_options(yield_per=20))
+            for file_id, sha256, content in rows:
+                try:
+                    is_sound = digest(zstandard.decompress(content)) == sha256
+                except zstandard.ZstdError:
+                    is_sound = False
+                if not is_sound:
+                    why = "the file does not have its digest"
+                    self.findings.append(Finding("stored_object_corrupt", f"{kind.__tablename__}/{file_id}", why))
+
     def strangers(self) -> int:
         """Look for objects that no row names; return how many objects there are."""
         count = 0
@@ -132,6 +147,7 @@ def audit(database: Database, store: Store) -> Audit:
         auditor.telemetry()
         auditor.results()
         auditor.queue()
+        auditor.field_sources()
         objects = auditor.strangers()
     return Audit(auditor.sessions, objects, auditor.parameter_sets, auditor.jobs, tuple(auditor.findings))
 
