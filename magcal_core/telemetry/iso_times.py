@@ -18,14 +18,7 @@ NO_TIME: Final = int(np.iinfo(np.int64).min)
 EARLIEST_NS: Final = int(np.datetime64("1972-01-01", "ns").astype(np.int64))
 """UTC with leap seconds begins in 1972; earlier times are clocks that were never set."""
 LATEST_NS: Final = int(np.datetime64("2100-01-01", "ns").astype(np.int64))
-_NS: Final = int(np.datetime64("1972-01-01", "ns").astype(np.int64))
-"""UTC with leap seconds begins in 1972; earlier times are clocks that were never set."""
-LATEST_NS: Final = int(np.datetime64("2100-01-01", "ns").astype(np.int64))
-TIME_SCALES: Final = ("utc", "gps")
-"""Scales that telemetry may declare; with ``gps``, numbers are seconds since 1980-01-06."""
 
-_GPS_EPOCH_NS: Final = int(np.datetime64("1980-01-06", "ns").astype(np.int64))
-_GPS_MINUS_TAI_S: Final = -19
 _NS: Final = 1_000_000_000
 _CLOCK: Final = r"(?P<hour>\d\d)(?::?(?P<minute>\d\d)(?::?(?P<second>\d\d)(?:[.,](?P<fraction>\d{1,18}))?)?)"
 _ZONE: Final = r"\s*(?P<zone>Z|UTC|GMT|[+-]\d\d(?::?\d\d)?)?"
