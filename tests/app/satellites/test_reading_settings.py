@@ -10,7 +10,7 @@ from magcal_core.telemetry import read_telemetry
 
 N = 30
 TIMES = np.datetime64("2022-02-19T22:37:44", "ns") + np.arange(N) * np.timedelta64(10, "s")
-H = [*np.round(np.random.default_rng(5).normal(0.0, 20000.0, (N, 3))), 20000.0, 20000.0, 20000.0]
+H = np.round(np.random.default_rng(5).normal(0.0, 2e4, (N, 3))) + np.full(3, 2e4)
 
 
 def body(times: object = TIMES, scale: float = 1.0, extra: str = "") -> str:
