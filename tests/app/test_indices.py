@@ -25,7 +25,7 @@ def post(api, path, content, **params):
     return api.post(path, content=content, params=params, headers={"content-type": "application/octet-stream"})
 
 
-def wait(api, job_id, timeout_s=120.0):
+def wait(api, job_id, timeout_s=240.0):
     deadline = time.monotonic() + timeout_s
     while True:
         job = api.get(f"/jobs/{job_id}").json()
