@@ -16,7 +16,7 @@ from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
 from typing_extensions import TypedDict
 
-from app.retry import AWAY, is_contention
+from app.retry import AWAY, DAMAGED, is_contention
 from magcal_core.errors import EstimationError, InputError, MagcalError, PropagationError
 
 log = structlog.get_logger()
@@ -175,6 +175,7 @@ class StorageFullError(ServiceError):
     """There is no room for the upload."""
 
     code = "storage_full"
+    headers = {"Retry-After": "60"}  # noqa: RUF012
 
 
 class StoredObjectCorruptError(ServiceError):
@@ -315,12 +316,14 @@ def _http_error(request: Request, error: Exception) -> JSONResponse:
 
 def _database_error(request: Request, error: Exception) -> JSONResponse:
     is_cut = isinstance(error, DBAPIError) and error.connection_invalidated
-    if not (is_cut or isinstance(error, AWAY) or is_contention(error)):
+    is_damaged = isinstance(error, DBAPIError) and getattr(error.orig, "sqlite_errorname", "").startswith(DAMAGED)
+    if not (is_cut or is_damaged or isinstance(error, AWAY) or is_contention(error)):
         return _unexpected_error(request, error)
     text = str(getattr(error, "orig", error))
     log.warning("database_unavailable", error=text)
     if "disk is full" in text or "No space left" in text:
-        return problem_response(problem_of(StorageFullError("there is no room on the disk of the database")))
+        full = StorageFullError("there is no room on the disk of the database")
+        return problem_response(problem_of(full), full.headers)
     unavailable = UnavailableError("the database does not answer in time; try again")
     return problem_response(problem_of(unavailable), unavailable.headers)
 

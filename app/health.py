@@ -71,6 +71,7 @@ def _state(is_good: bool) -> State:
 def _database(db: Db) -> State:
     try:
         db.check()
+        db.look_for_damage()
         with db.read() as session:
             session.execute(text("SELECT 1"))
     except SQLAlchemyError as error:

@@ -28,6 +28,7 @@ from app.jobs.engine import Engine, open_engine
 from app.keys import endpoints as keys
 from app.limits import RequestLimits
 from app.logs import RequestLog
+from app.maintenance import satellite_endpoints
 from app.methods import Methods
 from app.oidc import open_issuer
 from app.orbits import endpoints as orbits
@@ -41,10 +42,25 @@ from app.sessions.ingest import Ingest
 from app.sessions.keeping import Keeper
 from app.sessions.upload import Admission, sweep_incoming
 from app.settings import Settings
+from app.storage.identity import expect_own
 from app.store import open_store
+from app.uploads import confirmation
 
 API: Final = "/api/v1"
-ROOMS: Final = (sessions, satellites, orbits, jobs, parameter_sets, pointing, refitting, field, keys, displays)
+ROOMS: Final = (
+    sessions,
+    confirmation,
+    satellites,
+    satellite_endpoints,
+    orbits,
+    jobs,
+    parameter_sets,
+    pointing,
+    refitting,
+    field,
+    keys,
+    displays,
+)
 STOP_GRACE_S: Final = 20.0
 
 log = structlog.get_logger()
@@ -65,6 +81,7 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
         },  # nobody configures it; looking costs each request
     )
     database, store = Database(settings), open_store(settings)
+    app.state.database_id = expect_own(database, store)
     app.state.settings = settings
     app.state.database = database
     app.state.store = store

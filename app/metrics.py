@@ -5,14 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
+import structlog
 from prometheus_client import REGISTRY, CollectorRegistry, Counter, Histogram, generate_latest
 from prometheus_client.core import GaugeMetricFamily, Metric
 from sqlalchemy import func, select
 
 from app.database import Database, utc_now
 from app.jobs.tables import Job
+from app.retry import AWAY
 from app.sessions.tables import TelemetrySession
 from app.store import Blob
+
+log = structlog.get_logger()
 
 REQUEST_SECONDS: Final = Histogram(
     "magcal_request_seconds", "Time to answer a request, s.", ["method", "route", "status"]
@@ -28,7 +32,16 @@ class ServiceState:
         self._database = database
 
     def collect(self) -> Iterator[Metric]:
-        """Yield the gauges."""
+        """Yield the gauges; where the database is away, the one that says so."""
+        try:
+            metrics = list(self._state())
+        except AWAY as error:
+            log.warning("metrics_without_database", error=str(error))
+            metrics = []
+        yield GaugeMetricFamily("magcal_database_up", "Whether the database answers, 1 or 0.", value=bool(metrics))
+        yield from metrics
+
+    def _state(self) -> Iterator[Metric]:
         with self._database.read() as session:
             counts = session.execute(select(Job.state, func.count()).group_by(Job.state)).all()
             oldest = session.scalar(select(func.min(Job.created_at)).where(Job.state == "queued"))

@@ -20,6 +20,8 @@ from app.database import WRITES, Database
 from app.errors import ConflictError
 from app.keys.repository import KeyRepository, Scope
 from app.settings import Settings
+from app.storage.identity import refuse_empty, settle_identity
+from app.store import Store
 
 log = structlog.get_logger()
 LOCK: Final = 0x6D616763616C  # "magcal", for pg_advisory_lock
@@ -58,7 +60,7 @@ def require_head(database: Database) -> None:
 
 
 @contextmanager
-def _alone(database: Database, settings: Settings) -> Iterator[None]:
+def alone(database: Database, settings: Settings) -> Iterator[None]:
     """Hold the lock that lets one process alone set a database up."""
     if not database.is_sqlite:
         with database.engine.connect() as connection:
@@ -81,7 +83,7 @@ def upgrade(database: Database, settings: Settings) -> None:
 
     Migrations only add, so that processes of the version before go on, and may start, while one is rolled out.
     """
-    with _alone(database, settings):
+    with alone(database, settings):
         found = current(database)
         if found == head():
             return
@@ -89,6 +91,20 @@ def upgrade(database: Database, settings: Settings) -> None:
             log.warning("schema_is_newer", revision=found, known=head())
             return
         migrate(database, "head")
+
+
+def set_up(database: Database, store: Store, settings: Settings) -> str:
+    """Return the id of a database that is up to date, and whose store and data folder are its own.
+
+    Raises
+    ------
+    WrongStoreError
+        They are another's; nothing was made or changed.
+    """
+    refuse_empty(database, store, settings)
+    upgrade(database, settings)
+    with alone(database, settings):
+        return settle_identity(database, store, settings)
 
 
 def _known() -> set[str]:
@@ -135,6 +151,6 @@ def _ancestors(script: ScriptDirectory, revision: str) -> set[str]:
 
 def make_first_key(database: Database, settings: Settings) -> str | None:
     """Return a new admin key where the database has never had one, None where it has."""
-    with _alone(database, settings), database.write() as session:
+    with alone(database, settings), database.write() as session:
         keys = KeyRepository(session)
         return keys.create([Scope.ADMIN], name="first").key if keys.is_empty() else None

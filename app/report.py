@@ -16,7 +16,7 @@ import numpy as np
 
 from app import figures
 from app.figures.extras import ablation_rows
-from app.figures.page import plotly_source, script_json
+from app.figures.page import POLICY, plotly_source, script_json
 from app.records import ParameterSetRecord, ParametersRecord, parameter_values
 from magcal_core.calibration.result import ResidualTable
 from magcal_core.errors import MagcalError
@@ -106,6 +106,7 @@ def render_report(
             pointing=pointing,
             plotly_js=plotly_source() if plates else "",
             title=_title(record),
+            policy=POLICY,
         )
     )
 

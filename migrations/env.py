@@ -14,6 +14,7 @@ import app.orbits.tables
 import app.parameter_sets.tables
 import app.satellites.tables
 import app.sessions.tables
+import app.storage.identity
 import app.store  # noqa: F401
 from app.database import Base, JsonColumn, UtcDateTime
 

@@ -184,6 +184,19 @@ def renew(session: Session, claim: Claim, lease_s: float, progress: float) -> Re
     return Renewal(cancelled is not None, bool(cancelled))
 
 
+def require_held(session: Session, claim: Claim) -> None:
+    """Hold the job for the transaction, which is about to keep what its attempt has found.
+
+    Raises
+    ------
+    LostClaimError
+        The claim no longer holds; nothing must be kept.
+    """
+    held = select(JOBS.c.id).where(_holds(claim)).with_for_update(key_share=True)
+    if session.execute(held).first() is None:
+        raise LostClaimError(f"attempt {claim.attempt} no longer holds job {claim.job_id}")
+
+
 def is_cancelled(session: Session, claim: Claim) -> bool:
     """Return whether the job is to be cancelled, or is no longer the claim's."""
     wanted = session.execute(select(JOBS.c.cancel_requested).where(_holds(claim))).scalar()
@@ -213,12 +226,21 @@ def finish(
 
 
 def hand_back(session: Session, claim: Claim, *, is_lost: bool) -> None:
-    """Let another attempt have the job; ``is_lost`` counts this one as lost."""
-    session.execute(
+    """Let another attempt have the job; ``is_lost`` counts this one as lost.
+
+    Raises
+    ------
+    LostClaimError
+        The claim no longer holds: the job is another attempt's, or has ended, and must not be handed out again.
+    """
+    handed_back = (
         update(JOBS)
         .where(_holds(claim))
         .values(state="queued", lease_until=None, worker=None, lost_attempts=JOBS.c.lost_attempts + int(is_lost))
+        .returning(JOBS.c.id)
     )
+    if session.execute(handed_back).first() is None:
+        raise LostClaimError(f"attempt {claim.attempt} no longer holds job {claim.job_id}")
 
 
 def _holds(claim: Claim) -> ColumnElement[bool]:
@@ -229,8 +251,8 @@ def _holds(claim: Claim) -> ColumnElement[bool]:
 def _end(session: Session, which: ColumnElement[bool], state: str, error: Problem | None) -> int:
     ended = _ending(which).values(state=state, error=error).returning(JOBS.c.parent_id)
     parents = session.scalars(ended).all()
-    for parent_id in set(parents) - {None}:
-        settle(session, str(parent_id))
+    for parent_id in sorted({str(one) for one in parents if one is not None}):  # one order, lest two lock crosswise
+        settle(session, parent_id)
     return len(parents)
 
 

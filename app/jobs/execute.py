@@ -14,7 +14,7 @@ from sqlalchemy.orm import Session
 from app.database import Database
 from app.errors import Problem, problem, problem_of
 from app.jobs.child import Failure, Outcome, Task
-from app.jobs.claims import Claim, LostClaimError, finish, hand_back, is_cancelled, renew
+from app.jobs.claims import Claim, LostClaimError, finish, hand_back, is_cancelled, renew, require_held
 from app.jobs.kind import JobKind
 from app.jobs.kinds import JOB_KINDS
 from app.jobs.port import Queue
@@ -105,6 +105,7 @@ class Executor:
 
     def _keep(self, claim: Claim, found: Outcome) -> str:
         with self._database.write() as session:
+            require_held(session, claim)
             result = JOB_KINDS[claim.kind].keep(session, self._store, claim, found)
             finish(session, claim, "succeeded", result=result)
         return "succeeded"

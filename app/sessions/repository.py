@@ -15,6 +15,7 @@ from sqlalchemy.orm import Session
 
 from app.database import new_id, utc_now
 from app.errors import ConflictError, ExpiredError, NotFoundError, QuotaError
+from app.http.unkeepable import has_unkeepable
 from app.keys.repository import NEW_EVENT, Caller, event_of, record_event
 from app.paging import fetch_page
 from app.satellites.repository import within_reach
@@ -24,7 +25,8 @@ from app.sessions.reading import column_names
 from app.sessions.schemas import SessionQuery
 from app.sessions.tables import Chunk, TelemetrySession
 from app.sessions.upload import Upload
-from app.store import Packed, Store, columns_key, digest, raw_key
+from app.store import Packed, Store, columns_key, digest, is_whole, keep_after_all, raw_key
+from magcal_core.errors import TelemetryFormatError
 from magcal_core.samples import Samples
 from magcal_core.telemetry import Telemetry, merge_samples
 
@@ -72,6 +74,8 @@ class Parsed:
     @classmethod
     def of(cls, upload: Upload, telemetry: Telemetry, form: str, store: Store, raw: Packed | None = None) -> Parsed:
         """Return the upload with its samples, encoded; ``raw`` where its bytes have been packed already."""
+        if any(map(has_unkeepable, column_names(telemetry.samples))):
+            raise TelemetryFormatError("a column's name has a NUL or a character that is none")
         columns = encode(telemetry.samples)
         return cls(
             store.pack(upload.content, upload.sha256) if raw is None else raw,
@@ -247,10 +251,52 @@ class SessionRepository:
         writing.events.append(event_of(self.caller, "session.create", row.id, satellite_id))
         return row, True
 
+    def is_whole(self, row: TelemetrySession, sha256: str, store: Store) -> bool:
+        """Return whether the bytes ``sha256`` of a session, and what was made of them, are there; they are read."""
+        if row.raw_removed_at is not None:
+            return False
+        chunk = self.session.scalar(select(Chunk).where(Chunk.session_id == row.id, Chunk.sha256 == sha256))
+        return chunk is None or self._has_bytes(row, chunk, store)
+
+    def _has_bytes(self, row: TelemetrySession, chunk: Chunk, store: Store) -> bool:
+        raw = raw_key(row.satellite_id, chunk.sha256)
+        columns = columns_key(row.id, chunk.sequence)
+        return is_whole(store, self.session, raw, chunk.sha256) and is_whole(
+            store, self.session, columns, chunk.columns_sha256
+        )
+
+    def restore(self, row: TelemetrySession, parsed: Parsed, store: Store) -> bool:
+        """Return whether bytes that the session had lost are now kept again: removed, gone or not those of its row.
+
+        A session whose bytes were removed counts as removed until every one of its chunks has come again.
+        """
+        sha256 = parsed.raw.sha256
+        if self.is_whole(row, sha256, store):
+            return False
+        self.session.refresh(row, with_for_update=True)
+        chunks = self.chunks(row.id)
+        chunk = next((one for one in chunks if one.sha256 == sha256), None)
+        if chunk is None or (row.raw_removed_at is None and self._has_bytes(row, chunk, store)):
+            return False
+        objects = {
+            raw_key(row.satellite_id, sha256): parsed.raw,
+            columns_key(row.id, chunk.sequence): parsed.columns,
+        }
+        for key, content in objects.items():
+            store.replace(self.session, key, content)
+        chunk.columns_sha256 = parsed.columns.sha256
+        keep_after_all(self.session, list(objects))
+        if row.raw_removed_at is not None and all(self._has_bytes(row, one, store) for one in chunks):
+            row.raw_removed_at = None
+        record_event(self.session, self.caller, "session.restore", row.id, row.satellite_id)
+        self.session.flush()
+        return True
+
     def append(self, row: TelemetrySession, parsed: Parsed, store: Store) -> None:
-        """Add a chunk to an open session; one that is there already changes nothing."""
+        """Add a chunk to an open session; one that is there already, with its bytes, changes nothing."""
         chunks = self.chunks(row.id)
         if any(chunk.sha256 == parsed.raw.sha256 for chunk in chunks):
+            self.restore(row, parsed, store)
             return
         if row.state != "open":
             raise ConflictError("the session is closed")

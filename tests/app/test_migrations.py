@@ -16,6 +16,7 @@ import app.keys.tables
 import app.orbits.tables
 import app.parameter_sets.tables
 import app.sessions.tables
+import app.storage.identity
 import app.store  # noqa: F401
 from app.database import Base, Database, utc_now
 from app.demo.mission import SESSIONS, simulated, tle_text
