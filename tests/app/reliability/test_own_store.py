@@ -8,7 +8,7 @@ import shutil
 import socket
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import httpx2
@@ -41,8 +41,19 @@ def one_line(done: subprocess.CompletedProcess[str]) -> str:
     return lines[0]
 
 
+OPENED: list[httpx2.Client] = []
+
+
+@pytest.fixture(autouse=True)
+def no_client_left_open() -> Iterator[None]:
+    yield
+    while OPENED:
+        OPENED.pop().close()
+
+
 def filled(service) -> httpx2.Client:
     api = service.client()
+    OPENED.append(api)
     api.post("/satellites", json={"id": "a"}).raise_for_status()
     api.post("/satellites/a/magnetometers", json={"id": "m", "unit": "nT"}).raise_for_status()
     assert send(api, 0).status_code == 201

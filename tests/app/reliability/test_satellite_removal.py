@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 from sqlalchemy import select
 
@@ -17,10 +15,9 @@ CSV = {"content-type": "text/csv"}
 PASS = "time,bx,by,bz,ref_b\n2026-01-01T00:00:00Z,20000,1,2,20000\n"
 
 
-@pytest.fixture(params=["sqlite", pytest.param("postgres", marks=pytest.mark.postgres)])
-def service(request: pytest.FixtureRequest, new_service: Callable[..., object]):
-    url = None if request.param == "sqlite" else request.getfixturevalue("postgres_url")
-    return new_service(database_url=url)
+@pytest.fixture
+def service(shared):
+    return shared
 
 
 def fill(api, satellite: str) -> str:
@@ -51,7 +48,7 @@ def test_it_takes_a_look_first_and_leaves_nothing_but_the_trail(service):
         job = api.post("/reprocessings", json={"satellites": ["gone", "kept"]}).json()["id"]
         seen = api.delete("/satellites/gone").json()
         counts = {name: seen[name] for name in ("magnetometers", "sessions", "orbits", "jobs", "unended_jobs")}
-        assert counts == {"magnetometers": 1, "sessions": 1, "orbits": 1, "jobs": 2, "unended_jobs": 2}
+        assert counts == {"magnetometers": 1, "sessions": 1, "orbits": 2, "jobs": 2, "unended_jobs": 2}
         assert seen["is_removed"] is False
         assert api.get("/satellites/gone").status_code == 200
         with service.database.write() as session:
@@ -65,7 +62,7 @@ def test_it_takes_a_look_first_and_leaves_nothing_but_the_trail(service):
             finish(session, claim, "succeeded", result={})
         assert set(left(service, "gone")) == {"audit_event"}
         assert "satellite.remove" in " ".join(left(service, "gone")["audit_event"])
-        assert len(api.get("/sessions").json()["items"]) == 1
+        assert len(api.get("/satellites/kept/sessions").json()["items"]) == 1
         assert api.get(f"/jobs/{job}").json()["state"] == "running"
     with service.database.read() as session:
         assert [key for key in session.scalars(select(Blob.key)) if "gone" in key] == []
@@ -82,4 +79,4 @@ def test_only_an_admin_removes_and_only_what_was_seen(service):
         assert more.status_code == 201
         answer = api.delete("/satellites/one", params={"confirm": seen["confirm"]})
         assert (answer.status_code, answer.json()["code"]) == (409, "conflict")
-        assert len(api.get("/sessions").json()["items"]) == 2
+        assert len(api.get("/satellites/one/sessions").json()["items"]) == 2
