@@ -32,9 +32,15 @@ def read_receipts(path: Path) -> Iterator[Receipt]:
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
         try:
             found = json.loads(line)
-            names = ("name", "sha256", "session_id", "satellite", "magnetometer")
             database = found.get("database")
-            yield Receipt(*(str(found[name]) for name in names), None if database is None else str(database))
+            yield Receipt(
+                name=str(found["name"]),
+                sha256=str(found["sha256"]),
+                session_id=str(found["session_id"]),
+                satellite=str(found["satellite"]),
+                magnetometer=str(found["magnetometer"]),
+                database=None if database is None else str(database),
+            )
         except (ValueError, KeyError, AttributeError, TypeError):
             continue
 

@@ -231,9 +231,9 @@ class Database:
         if self._expected is None:
             return
         cursor = connection.cursor()
-        cursor.execute("SELECT to_regclass('service_identity') IS NOT NULL")
-        found = None
-        if cursor.fetchone()[0]:
+        cursor.execute("SELECT to_regclass('service_identity')")
+        found = cursor.fetchone()
+        if found is not None and found[0] is not None:
             cursor.execute("SELECT database_id FROM service_identity")
             found = cursor.fetchone()
         cursor.close()

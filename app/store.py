@@ -67,6 +67,7 @@ NEW_BLOB: Final = {name: insert(BLOBS).on_conflict_do_nothing() for name, insert
 NEW_PART: Final = {name: insert(BLOB_PARTS).on_conflict_do_nothing() for name, insert in INSERTS}
 """Equal bytes have equal parts: what is there already stays as it is, where it is whole."""
 TO_REMOVE: Final = ObjectToRemove.metadata.tables["object_to_remove"]
+NEW_TO_REMOVE: Final = {name: insert(TO_REMOVE).on_conflict_do_nothing() for name, insert in INSERTS}
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,8 +163,7 @@ def remove_later(session: Session, satellite_id: str, keys: Iterable[str]) -> No
     now = utc_now()
     rows = [{"key": key, "satellite_id": satellite_id, "created_at": now} for key in sorted(set(keys))]
     if rows:
-        insert = dict(INSERTS)[session.get_bind().dialect.name]
-        session.execute(insert(TO_REMOVE).on_conflict_do_nothing(), rows)
+        session.execute(NEW_TO_REMOVE[session.get_bind().dialect.name], rows)
 
 
 def keep_after_all(session: Session, keys: Sequence[str]) -> None:

@@ -7,7 +7,7 @@ from enum import StrEnum
 from typing import Final
 
 from sqlalchemy import ColumnElement, select
-from sqlalchemy.orm import Session
+from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from app.jobs.tables import Job
 from app.parameter_sets.tables import ParameterSet
@@ -55,7 +55,7 @@ def naming_of(session: Session, key: str) -> Named:
     return NOBODY
 
 
-def _by_sessions(session: Session, which: ColumnElement[bool], digest: ColumnElement[str]) -> Named:
+def _by_sessions(session: Session, which: ColumnElement[bool], digest: InstrumentedAttribute[str]) -> Named:
     """Return what the sessions say that have a chunk ``which``: one that lives needs it, however many are removed."""
     asked = select(digest, TelemetrySession.raw_removed_at).select_from(Chunk).join(TelemetrySession).where(which)
     rows = session.execute(asked).all()

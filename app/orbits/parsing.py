@@ -20,7 +20,6 @@ from magcal_core.orbit.sources import OrbitSource, parse_orbits, parse_sources
 MEDIA_TYPES: Final = frozenset(
     {"", "text/plain", "application/json", "application/xml", "text/xml", "text/csv", "application/octet-stream"}
 )
-LONGEST_NAME: Final = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +59,6 @@ def _refuse_unkeepable(sources: Sequence[OrbitSource]) -> None:
         texts = (source.name or "", source.text, str(source.norad_id or ""), str(source.cospar_id or ""))
         if any(map(has_unkeepable, texts)):
             raise OrbitFormatError("the message has a NUL or a character that is none")
-        if len(texts[0]) > LONGEST_NAME:
-            raise OrbitFormatError(f"the object's name has {len(texts[0])} characters; the limit is {LONGEST_NAME}")
 
 
 def _propagate(orbits: Sequence[Sgp4Orbit]) -> None:

@@ -172,9 +172,11 @@ def each_database(new_service: Callable[..., object], request: pytest.FixtureReq
     for api in clients:
         api.post("/satellites", json={"id": "a"}).raise_for_status()
         api.post("/satellites/a/magnetometers", json={"id": "m", "unit": "nT"}).raise_for_status()
-    yield clients
-    for api in clients:
-        api.close()
+    try:
+        yield clients
+    finally:
+        for api in clients:
+            api.close()
 
 
 def omm(name: str) -> str:
@@ -207,9 +209,6 @@ HOSTILE_TEXT: dict[str, Callable[[httpx2.Client], httpx2.Response]] = {
         headers=CSV,
     ),
     "NUL in an orbit's name": lambda api: api.post("/satellites/a/orbits", content=omm("A\0B"), headers=JSON),
-    "an orbit's name of 300 characters": lambda api: api.post(
-        "/satellites/a/orbits", content=omm("A" * 300), headers=JSON
-    ),
     "a name of 300 characters": lambda api: api.post("/satellites", json={"id": "b", "name": "x" * 300}),
     "a magnetometer of 100 characters": lambda api: api.post(
         "/satellites/a/magnetometers", json={"id": "n" * 100, "unit": "nT"}

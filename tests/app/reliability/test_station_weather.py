@@ -8,12 +8,13 @@ import os
 import shutil
 import signal
 import socket
+import sqlite3
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -228,8 +229,8 @@ def test_after_a_restore_of_the_server_one_push_sends_what_is_missing(new_servic
     assert push(folder, "a", first.url, key).returncode == 0
     backup = tmp_path / "backup"
     backup.mkdir()
-    with first.database.engine.connect() as connection:
-        connection.exec_driver_sql(f"VACUUM INTO '{backup}/magcal.db'")
+    with closing(sqlite3.connect(first.settings.data_dir / "magcal.db")) as database:
+        database.execute("VACUUM INTO ?", (str(backup / "magcal.db"),))
     shutil.copy(first.settings.data_dir / "magcal-database.json", backup)
     for number in range(2, 4):
         (folder / f"pass-{number}.csv").write_text(telemetry(number))
