@@ -10,6 +10,7 @@ from pydantic import Field
 
 from app.auth import Administrator
 from app.body import StrictJsonRoute
+from app.keys.endpoints import refuse_bound
 from app.maintenance.removal import remove_objects
 from app.maintenance.satellite_removal import holdings_of, remove_satellite
 from app.resources import Blobs, Db
@@ -44,10 +45,10 @@ def delete_satellite(
     ] = None,
 ) -> SatelliteRemoval:
     """Show what a satellite has and, with `confirm`, remove it with all of that; its lines of the audit trail stay."""
-    if confirm is None:
-        with db.read() as session:
-            found = holdings_of(session, caller, satellite_id)
-    else:
+    with db.read() as session:
+        found = holdings_of(session, caller, satellite_id)
+    refuse_bound(caller)
+    if confirm is not None:
         with db.write() as session:
             found = remove_satellite(session, caller, satellite_id, confirm)
         remove_objects(db, store)
