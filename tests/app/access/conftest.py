@@ -90,7 +90,7 @@ def scopes_of(operation: dict[str, object]) -> tuple[str, ...]:
 
 @pytest.fixture(scope="session")
 def document(service) -> dict:
-    answer = httpx2.get(f"{service.url}/openapi.json", trust_env=False)
+    answer = httpx2.get(f"{service.url}/openapi.json", trust_env=False, timeout=60.0)
     answer.raise_for_status()
     return answer.json()
 
