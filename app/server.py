@@ -11,15 +11,16 @@ from typing import Final
 import structlog
 import uvicorn
 
-from app.database import Database
+from app.access.first_key import make_first_key
 from app.errors import ServiceError, UnavailableError
-from app.http1 import protocol_of
+from app.http.bounded_protocol import protocol_of
 from app.logs import configure_logs
 from app.main import create_app
-from app.migrate import make_first_key, set_up
 from app.settings import Settings
+from app.storage.database import Database
 from app.storage.identity import refuse_lost
-from app.store import open_store
+from app.storage.migration import set_up
+from app.storage.open_store import open_store
 
 BACKLOG: Final = 2048
 

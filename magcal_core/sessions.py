@@ -6,19 +6,19 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from magcal_core.calibration.fit import Observations, corrected_nt
-from magcal_core.calibration.joint import DEFAULT_SHARED, JointFit, joint_fit
-from magcal_core.calibration.magnetometers import Comparison, CorrectedReadings, compare_magnetometers
-from magcal_core.calibration.monitoring import ActiveSet, SessionJudgement, judge_session
-from magcal_core.calibration.result import Parameters
+from magcal_core.calibration.sessions.joint import DEFAULT_SHARED, JointFit, joint_fit
+from magcal_core.calibration.sessions.monitoring import ActiveSet, SessionJudgement, judge_session
+from magcal_core.calibration.sessions.two_magnetometers import Comparison, CorrectedReadings, compare_magnetometers
 from magcal_core.errors import OptionError
 from magcal_core.field.models import field_model
+from magcal_core.observations import Observations, corrected_nt
 from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
-from magcal_core.reference import with_reference
-from magcal_core.referenced import Referenced, in_time_order, oriented
-from magcal_core.regressor_columns import is_of_scale, missing_columns, regressor_of, source_of
+from magcal_core.reference.columns import with_reference
+from magcal_core.reference.referenced_samples import Referenced, in_time_order, oriented
 from magcal_core.samples import Samples
+from magcal_core.sensor.parameters import Parameters
+from magcal_core.sensor.regressors import is_of_scale, missing_columns, regressor_of, source_of
 
 
 def calibrate_jointly(

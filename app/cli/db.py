@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from app.database import Database
     from app.settings import Settings
-    from app.store import Store
+    from app.storage.database import Database
+    from app.storage.store import Store
 
 
 @contextmanager
 def opened(*, may_be_new: bool = False) -> Iterator[tuple[Database, Settings]]:
     """Yield the database that the settings name, with the settings; one that is not there is made only on request."""
-    from app.database import Database
     from app.settings import load_settings
+    from app.storage.database import Database
     from app.storage.identity import refuse_lost, require_database
 
     settings = load_settings()
@@ -34,9 +34,9 @@ def opened(*, may_be_new: bool = False) -> Iterator[tuple[Database, Settings]]:
 @contextmanager
 def opened_with_store() -> Iterator[tuple[Database, Store, Settings]]:
     """Yield the database with its own store; one that is another's is refused."""
-    from app.migrate import require_head
     from app.storage.identity import require_own
-    from app.store import open_store
+    from app.storage.migration import require_head
+    from app.storage.open_store import open_store
 
     with opened() as (database, settings):
         require_head(database)
@@ -54,8 +54,8 @@ def command() -> None:
 @click.argument("revision", default="head")
 def upgrade(revision: str) -> None:
     """Bring the database to this version's schema, or to REVISION, up or down."""
-    from app.migrate import current, migrate
-    from app.migrate import upgrade as to_head
+    from app.storage.migration import current, migrate
+    from app.storage.migration import upgrade as to_head
 
     with opened(may_be_new=True) as (database, settings):
         if revision == "head":
@@ -68,9 +68,9 @@ def upgrade(revision: str) -> None:
 @command.command("current")
 def show_current() -> None:
     """Print the revision of the database's schema, and the one that this version needs."""
-    from app.migrate import current, head
     from app.settings import load_settings
     from app.storage.identity import is_made, refuse_lost
+    from app.storage.migration import current, head
 
     settings, found = load_settings(), None
     refuse_lost(settings)
@@ -92,7 +92,7 @@ def show_audit(*, as_json: bool, receipts: tuple[Path, ...]) -> None:
     """Check that everything acknowledged is there, byte for byte; exit 1 where something is amiss."""
     import json
 
-    from app.upkeep.audit import audit, lines_of
+    from app.maintenance.audit import audit, lines_of
 
     with opened_with_store() as (database, store, _):
         found = audit(database, store, receipts)
@@ -104,7 +104,7 @@ def show_audit(*, as_json: bool, receipts: tuple[Path, ...]) -> None:
 @command.command("rebuild")
 def make_again() -> None:
     """Make the columnar form of all telemetry again from its raw bytes; exit 1 where some of it cannot be."""
-    from app.upkeep.rebuild import rebuild
+    from app.maintenance.rebuild import rebuild
 
     with opened_with_store() as (database, store, settings):
         done = rebuild(database, store, settings)
@@ -125,10 +125,10 @@ def make_again() -> None:
 )
 def copy_to(target_url: str, *, may_skip: bool) -> None:
     """Copy the database to another one, TARGET_URL, which is brought to this schema and must be empty."""
-    from app.database import Database
-    from app.migrate import upgrade as to_head
+    from app.maintenance.copy_database import copy
     from app.settings import Settings
-    from app.upkeep.copying import copy
+    from app.storage.database import Database
+    from app.storage.migration import upgrade as to_head
 
     with opened() as (source, settings):
         target_settings = settings.model_copy(update={"database_url": target_url})
@@ -149,7 +149,7 @@ def copy_to(target_url: str, *, may_skip: bool) -> None:
 @click.option("--apply", "is_meant", is_flag=True, help="Remove; without it, only say what would be removed.")
 def run_retention(is_meant: bool) -> None:
     """Remove raw bytes and chunks that are past their satellite's retention; parameter sets stay."""
-    from app.upkeep.retention import expired, remove_expired
+    from app.maintenance.retention import expired, remove_expired
 
     with opened_with_store() as (database, store, _):
         found = remove_expired(database, store) if is_meant else expired(database)
@@ -163,10 +163,10 @@ def run_retention(is_meant: bool) -> None:
 @click.option("--apply", "is_meant", is_flag=True, help="Do it; without it, only say what belongs to what.")
 def adopt_store(is_meant: bool) -> None:
     """Make database, store and data folder belong together, after one of them was moved or made anew on purpose."""
-    from app.database import new_id
-    from app.migrate import alone, require_head
+    from app.storage.database import new_id
     from app.storage.identity import adopt, found_identity, place_of, remembered
-    from app.store import open_store
+    from app.storage.migration import alone, require_head
+    from app.storage.open_store import open_store
 
     with opened() as (database, settings):
         require_head(database)
@@ -191,7 +191,7 @@ def remove_one_satellite(satellite: str, confirm: str | None) -> None:
     """Remove SATELLITE with all it has, its jobs cancelled; without --confirm, only say what that is."""
     from dataclasses import asdict
 
-    from app.keys.repository import SYSTEM
+    from app.access.caller import SYSTEM
     from app.maintenance.removal import remove_objects
     from app.maintenance.satellite_removal import holdings_of, remove_satellite
 

@@ -38,7 +38,7 @@ class UtcMoment(click.ParamType[datetime]):
         """Return the time, in UTC."""
         from pydantic_core import PydanticCustomError
 
-        from app.schemas import parse_utc
+        from app.http.schemas import parse_utc
 
         try:
             time = parse_utc(value)
@@ -52,11 +52,11 @@ class UtcMoment(click.ParamType[datetime]):
 @contextmanager
 def _writing() -> Iterator[Session]:
     """Yield a writing session over the database that the settings name, which must be there, and say which it is."""
-    from app.database import Database
-    from app.migrate import current, upgrade
     from app.settings import load_settings
+    from app.storage.database import Database
     from app.storage.identity import WrongStoreError, place_of, require_database, require_own
-    from app.store import open_store
+    from app.storage.migration import current, upgrade
+    from app.storage.open_store import open_store
 
     settings = load_settings()
     require_database(settings)
@@ -93,9 +93,9 @@ def create(
         raise click.BadParameter(f"unknown scope {unknown[0]}; known are {', '.join(SCOPES)}", param_hint="--scopes")
     from pydantic import ValidationError
 
-    from app.keys.repository import KeyRepository
-    from app.keys.schemas import KeyCreate
-    from app.schemas import utc_text
+    from app.access.key_repository import KeyRepository
+    from app.access.key_schemas import KeyCreate
+    from app.http.schemas import utc_text
 
     try:
         wanted = KeyCreate.model_validate({"scopes": scopes, "satellites": satellites, "name": name})
@@ -125,8 +125,8 @@ def list_keys(as_json: bool) -> None:
     """List the keys, the newest first, without their secrets."""
     from sqlalchemy import select
 
-    from app.keys.schemas import KeyRead
-    from app.keys.tables import ApiKey
+    from app.access.key_schemas import KeyRead
+    from app.access.key_tables import ApiKey
 
     with _writing() as session:
         rows = session.scalars(select(ApiKey).order_by(ApiKey.created_at.desc(), ApiKey.id)).all()
@@ -146,7 +146,7 @@ def list_keys(as_json: bool) -> None:
 @click.argument("key_id", metavar="ID")
 def revoke(key_id: str) -> None:
     """Revoke a key: its next request is refused, in every process."""
-    from app.keys.repository import KeyRepository
+    from app.access.key_repository import KeyRepository
 
     with _writing() as session:
         KeyRepository(session).revoke(key_id)

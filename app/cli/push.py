@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Final
 import click
 
 if TYPE_CHECKING:
-    from app.client import Client
-    from app.client_station import Outcome, Station
+    from app.client.blocking import Client
+    from app.client.station import Outcome, Station
 
 LONGEST_PAUSE_S: Final = 60.0
 
@@ -52,9 +52,9 @@ def command(
     the service will never take it, and stays where it is while the service cannot be reached. What lies in sent/ is
     asked for again, and sent again where the service does not have it: after a restore from a backup, push once.
     """
-    from app.client import Client
+    from app.client.blocking import Client
+    from app.client.station import Destination, Station
     from app.client_folder import taken
-    from app.client_station import Destination, Station
 
     if not telemetry.is_dir():
         if watch:
@@ -86,7 +86,7 @@ def _push_file(client: Client, path: Path, satellite: str, magnetometer: str, *,
     from rich.console import Console
     from rich.progress import Progress
 
-    from app.client import media_type_of
+    from app.client.blocking import media_type_of
 
     content = path.read_bytes()
     console = Console(stderr=True)

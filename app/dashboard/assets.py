@@ -12,7 +12,7 @@ from typing import Final
 
 from fastapi import APIRouter, Request, Response
 
-from app.figures.page import plotly_source
+from app.reporting.figures.page import plotly_source
 
 router = APIRouter(include_in_schema=False)
 

@@ -7,9 +7,9 @@ import hashlib
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
+from app.access.caller import Caller
 from app.errors import QuotaError
 from app.jobs.tables import Job
-from app.keys.repository import Caller
 
 
 def check_quota(session: Session, caller: Caller, most_queued: int, wanted: int) -> None:

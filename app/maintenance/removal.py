@@ -11,11 +11,12 @@ from typing import Final
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from app.database import Database
 from app.maintenance.object_names import Naming, naming_of
-from app.retry import retried
+from app.storage.database import Database
+from app.storage.database_store import ObjectToRemove, keep_after_all
 from app.storage.object_locks import take_objects
-from app.store import ObjectToRemove, Store, keep_after_all
+from app.storage.retry import retried
+from app.storage.store import Store
 
 MOST_AT_ONCE: Final = 100
 """Objects of one transaction, during which no upload of their satellite goes on."""

@@ -8,13 +8,13 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 from pydantic import Field
 
-from app.auth import Administrator
-from app.body import StrictJsonRoute
-from app.keys.endpoints import refuse_bound
+from app.access.authentication import Administrator
+from app.access.key_endpoints import refuse_bound
+from app.http.dependencies import Blobs, Db
+from app.http.schemas import Record, Slug
+from app.http.strict_json import StrictJsonRoute
 from app.maintenance.removal import remove_objects
 from app.maintenance.satellite_removal import holdings_of, remove_satellite
-from app.resources import Blobs, Db
-from app.schemas import Record, Slug
 
 router = APIRouter(route_class=StrictJsonRoute, tags=["satellites"])
 

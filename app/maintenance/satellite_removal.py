@@ -13,18 +13,20 @@ from typing import Final
 from sqlalchemy import ColumnElement, Table, delete, func, or_, select
 from sqlalchemy.orm import Session
 
-from app.database import Base
+from app.access.audit_trail import record_event
+from app.access.caller import Caller
+from app.access.idempotency import IdempotencyKey
 from app.errors import ConflictError
-from app.idempotency import IdempotencyKey
 from app.jobs.reprocessing import UNENDED, settle
 from app.jobs.tables import Job
-from app.keys.repository import Caller, record_event
 from app.orbits.tables import OrbitRow
 from app.parameter_sets.tables import ParameterSet
 from app.satellites.repository import SatelliteRepository
 from app.sessions.tables import Chunk, TelemetrySession
+from app.storage.database import Base
+from app.storage.database_store import remove_later
 from app.storage.object_locks import take_objects
-from app.store import columns_key, moments_key, raw_key, remove_later, residuals_key, series_key
+from app.storage.store import columns_key, moments_key, raw_key, residuals_key, series_key
 
 KEPT: Final = frozenset({"audit_event", "object_to_remove"})
 """Tables whose rows outlive their satellite: what was done, and what is still to be removed."""

@@ -13,8 +13,8 @@ from app.errors import UnsupportedMediaError
 from app.http.unkeepable import has_unkeepable
 from magcal_core.errors import OrbitFormatError
 from magcal_core.orbit import Orbit
-from magcal_core.orbit.frames import teme_to_itrf
-from magcal_core.orbit.sgp4 import Sgp4Orbit
+from magcal_core.orbit.earth.frames import teme_to_itrf
+from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
 from magcal_core.orbit.sources import OrbitSource, parse_orbits, parse_sources
 
 MEDIA_TYPES: Final = frozenset(

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from magcal_core.arrays import Floats
 from magcal_core.errors import Fault, TelemetryFormatError
-from magcal_core.regressor_columns import is_of_scale, missing_columns, source_of
-from magcal_core.samples import Floats, Samples
-from magcal_core.sensor import SensorModel
+from magcal_core.samples import Samples
+from magcal_core.sensor.model import SensorModel
+from magcal_core.sensor.regressors import is_of_scale, missing_columns, source_of
 
 
 @dataclass(frozen=True, slots=True)

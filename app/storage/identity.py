@@ -18,10 +18,10 @@ from typing import Final
 from sqlalchemy import String, inspect, make_url, select, text
 from sqlalchemy.orm import Mapped, Session, mapped_column
 
-from app.database import Base, Database, new_id, utc_now
 from app.errors import UnavailableError
 from app.settings import Settings
-from app.store import Store, raw_key
+from app.storage.database import Base, Database, new_id, utc_now
+from app.storage.store import Store, raw_key
 
 MEMORY: Final = "magcal-database.json"
 """The data folder's marker."""

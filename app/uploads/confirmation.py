@@ -10,14 +10,14 @@ from pydantic import Field, StringConstraints
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from app.auth import Station
-from app.body import StrictJsonRoute
-from app.resources import Blobs, Db
+from app.access.authentication import Station
+from app.http.dependencies import Blobs, Db
+from app.http.schemas import Body, Record, Slug
+from app.http.strict_json import StrictJsonRoute
 from app.satellites.repository import SatelliteRepository
-from app.schemas import Body, Record, Slug
 from app.sessions.tables import Chunk, TelemetrySession
 from app.storage.identity import found_identity
-from app.store import Store, raw_key
+from app.storage.store import Store, raw_key
 
 router = APIRouter(route_class=StrictJsonRoute, tags=["sessions"])
 

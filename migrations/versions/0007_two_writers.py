@@ -7,7 +7,7 @@ stands as its own predecessor gets the one before it.
 import sqlalchemy as sa
 from alembic import op
 
-from app.database import UtcDateTime
+from app.storage.database import UtcDateTime
 
 revision = "0007"
 down_revision = "0006"

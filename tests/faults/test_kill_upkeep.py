@@ -16,21 +16,22 @@ from faultsite import SEED, TRIALS
 from sqlalchemy import func, select
 from upkeep_loops import activate, move_schema, rebuild_all
 
-from app.database import Database, new_id, utc_now
-from app.jobs.engine import open_engine
+from app.access.caller import SYSTEM
+from app.http.receiving import Upload
+from app.jobs.engines.open_engine import open_engine
 from app.jobs.tables import Job
-from app.keys.repository import SYSTEM
-from app.migrate import current, head, upgrade
+from app.maintenance.audit import audit
+from app.maintenance.rebuild import rebuild
 from app.parameter_sets.repository import ParameterSetRepository
 from app.parameter_sets.tables import Activation, ParameterSet
 from app.satellites.tables import Magnetometer, Satellite
-from app.sessions.ingest import Asked, Ingest
 from app.sessions.schemas import UploadQuery
-from app.sessions.upload import Upload
 from app.settings import Settings
-from app.store import columns_key, digest, open_store
-from app.upkeep.audit import audit
-from app.upkeep.rebuild import rebuild
+from app.storage.database import Database, new_id, utc_now
+from app.storage.migration import current, head, upgrade
+from app.storage.open_store import open_store
+from app.storage.store import columns_key, digest
+from app.uploads.ingest import Asked, Ingest
 
 EACH = 4 * TRIALS
 LONGEST_S = 0.25
@@ -88,7 +89,7 @@ def killed(work: Callable[..., None], settings: Settings, things: list[str], aft
     """Return when a process that does ``work`` has been killed ``after_s`` seconds after it was at work."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(
-        ["app.upkeep.rebuild", "app.parameter_sets.repository", "alembic.command", "psycopg"]
+        ["app.maintenance.rebuild", "app.parameter_sets.repository", "alembic.command", "psycopg"]
     )
     ours, theirs = context.Pipe()
     process = context.Process(target=work, args=(settings, things, theirs))

@@ -5,14 +5,14 @@ from __future__ import annotations
 import itertools
 from multiprocessing.connection import Connection
 
-from app.database import Database
+from app.access.caller import SYSTEM
 from app.errors import ConflictError
-from app.keys.repository import SYSTEM
-from app.migrate import head, migrate
+from app.maintenance.rebuild import rebuild
 from app.parameter_sets.repository import ParameterSetRepository
 from app.settings import Settings
-from app.store import open_store
-from app.upkeep.rebuild import rebuild
+from app.storage.database import Database
+from app.storage.migration import head, migrate
+from app.storage.open_store import open_store
 
 
 def activate(settings: Settings, sets: list[str], at_work: Connection) -> None:

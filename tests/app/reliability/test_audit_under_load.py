@@ -9,16 +9,16 @@ from datetime import timedelta
 import pytest
 from sqlalchemy import update
 
-from app.database import new_id, utc_now
-from app.idempotency import IdempotencyKey
+from app.access.caller import SYSTEM
+from app.access.idempotency import IdempotencyKey
 from app.jobs.tables import Job
-from app.keys.repository import SYSTEM
+from app.maintenance.audit import audit
+from app.maintenance.retention import remove_expired
 from app.parameter_sets.repository import ParameterSetRepository
 from app.parameter_sets.tables import Activation, ParameterSet, ParameterSetSession
 from app.sessions.tables import TelemetrySession
-from app.store import residuals_key
-from app.upkeep.audit import audit
-from app.upkeep.retention import remove_expired
+from app.storage.database import new_id, utc_now
+from app.storage.store import residuals_key
 
 CSV = {"content-type": "text/csv"}
 AUDITS = 12

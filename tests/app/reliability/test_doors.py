@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 import httpx2
 import pytest
 
-from app.figures.page import figure_page, plotly_source
+from app.reporting.figures.page import figure_page, plotly_source
 
 CSV = {"content-type": "text/csv"}
 PASS = "time,bx,by,bz,ref_b\n2026-01-01T00:00:00Z,20000,1,2,20000\n"
@@ -71,7 +71,7 @@ def test_a_connection_that_does_not_go_on_is_closed(new_service, case):
 def test_an_answer_that_takes_longer_than_the_silence_is_given_all_the_same(new_service, monkeypatch):
     """A client that waits for its answer is not silent: the limit is for requests that do not come."""
     service = new_service(request_timeout_s=0.5)
-    monkeypatch.setattr("app.health.metrics_text", lambda _db: time.sleep(2) or b"late")
+    monkeypatch.setattr("app.operations.health.metrics_text", lambda _db: time.sleep(2) or b"late")
     assert httpx2.get(f"{service.url}/metrics", trust_env=False).content == b"late"
 
 

@@ -10,13 +10,14 @@ import httpx2
 import pytest
 from sqlalchemy import select, update
 
-from app.database import Database
+from app.maintenance.audit import audit
+from app.maintenance.rebuild import rebuild
 from app.maintenance.removal import remove_objects
+from app.maintenance.retention import remove_expired
 from app.sessions.tables import TelemetrySession
-from app.store import BlobPart, ObjectToRemove, Store, columns_key, raw_key
-from app.upkeep.audit import audit
-from app.upkeep.rebuild import rebuild
-from app.upkeep.retention import remove_expired
+from app.storage.database import Database
+from app.storage.database_store import BlobPart, ObjectToRemove
+from app.storage.store import Store, columns_key, raw_key
 
 CSV = {"content-type": "text/csv"}
 PASS = "time,bx,by,bz,ref_b\n" + "".join(f"2026-01-01T00:00:{s:02d}Z,2000{s % 10},1,2,20000\n" for s in range(40))
@@ -158,7 +159,7 @@ def test_a_removal_that_was_cut_off_is_seen_and_ended_by_the_next(world):
     """Between the transaction that gives bytes up and their removal: a kill leaves them, and a row that says so."""
     sent = world.send()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("app.upkeep.retention.remove_objects", lambda *_: 0)
+        patch.setattr("app.maintenance.retention.remove_objects", lambda *_: 0)
         world.expire(sent.json()["id"])
     with world.database.read() as session:
         assert len(session.scalars(select(ObjectToRemove)).all()) == 2

@@ -14,10 +14,10 @@ from pathlib import Path
 import httpx2
 import pytest
 
-from app.object_store import FileStore
 from app.server import prepare
 from app.settings import Settings
 from app.storage.identity import MEMORY, WrongStoreError
+from app.storage.object_store import FileStore
 
 CSV = {"content-type": "text/csv"}
 PASS = "time,bx,by,bz,ref_b\n2026-01-01T00:00:00Z,20000,1,2,20000\n"

@@ -11,19 +11,20 @@ from pathlib import Path
 
 import pytest
 
-from app.database import Database, utc_now
-from app.jobs.engine import open_engine
-from app.keys.repository import SYSTEM
-from app.migrate import upgrade
-from app.retry import retried
+from app.access.caller import SYSTEM
+from app.http.receiving import Upload
+from app.jobs.engines.open_engine import open_engine
+from app.maintenance.audit import audit
+from app.maintenance.retention import remove_expired
 from app.satellites.tables import Magnetometer, Satellite
-from app.sessions.ingest import Asked, Ingest, Prepared
 from app.sessions.schemas import UploadQuery
-from app.sessions.upload import Upload
 from app.settings import Settings
-from app.store import digest, open_store
-from app.upkeep.audit import audit
-from app.upkeep.retention import remove_expired
+from app.storage.database import Database, utc_now
+from app.storage.migration import upgrade
+from app.storage.open_store import open_store
+from app.storage.retry import retried
+from app.storage.store import digest
+from app.uploads.ingest import Asked, Ingest, Prepared
 
 pytestmark = pytest.mark.postgres
 CONTENT = b"time,bx,by,bz,ref_b\n2020-01-01T00:00:00Z,20000,1,2,20000\n2020-01-01T00:00:01Z,20001,1,2,20000\n"

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 from sqlalchemy import select
 
-from app.database import Base
-from app.demo.mission import tle_text
-from app.jobs.claims import LostClaimError, claim_one, finish
-from app.store import Blob, ObjectToRemove
-from app.upkeep.audit import audit
+from app.jobs.execution.leases import LostClaimError, claim_one, finish
+from app.maintenance.audit import audit
+from app.storage.database import Base
+from app.storage.database_store import Blob, ObjectToRemove
+from magcal_core.simulation.dekart_mission import tle_text
 
 CSV = {"content-type": "text/csv"}
 PASS = "time,bx,by,bz,ref_b\n2026-01-01T00:00:00Z,20000,1,2,20000\n"

@@ -22,9 +22,9 @@ import httpx2
 import pytest
 
 from app.cli.push import shown
+from app.client.requests import pause_s
 from app.client_folder import put_aside
-from app.client_requests import pause_s
-from app.upkeep.audit import audit
+from app.maintenance.audit import audit
 
 WAIT_S = 60.0
 ENTRY = [sys.executable, "-c", "from app.cli.main import run; run()"]

@@ -12,19 +12,19 @@ from pathlib import Path
 import pytest
 from sqlalchemy import func, select
 
-from app.database import Database, new_id, utc_now
-from app.idempotency import IdempotencyKey
-from app.jobs.claims import LostClaimError, claim_one, finish, hand_back
-from app.jobs.embedded import EmbeddedQueue
+from app.access.caller import SYSTEM
+from app.access.idempotency import IdempotencyKey
+from app.jobs.engines.embedded import EmbeddedQueue
+from app.jobs.execution.leases import LostClaimError, claim_one, finish, hand_back
 from app.jobs.repository import JobRepository
 from app.jobs.tables import Job
-from app.keys.repository import SYSTEM
-from app.migrate import upgrade
-from app.parameter_sets.listing import Texts
+from app.parameter_sets.json_listing import Texts
 from app.parameter_sets.repository import ParameterSetRepository
 from app.parameter_sets.tables import Activation, ParameterSet
 from app.satellites.tables import Magnetometer, Satellite
 from app.settings import Settings
+from app.storage.database import Database, new_id, utc_now
+from app.storage.migration import upgrade
 
 pytestmark = pytest.mark.postgres
 BLOCKED_S = 0.5
@@ -241,9 +241,9 @@ def test_a_claim_is_handed_out_once_by_the_embedded_queue_too(tmp_path):
 
 def test_threads_that_list_at_once_share_one_cache(monkeypatch):
     """Eight threads, a cache that is always full: no error, and its size is that of what it holds."""
-    monkeypatch.setattr("app.parameter_sets.listing.MOST_BYTES", 2000)
+    monkeypatch.setattr("app.parameter_sets.json_listing.MOST_BYTES", 2000)
     monkeypatch.setattr(
-        "app.parameter_sets.listing._written", lambda _connection, sets: dict.fromkeys(sets.items(), b"x" * 100)
+        "app.parameter_sets.json_listing._written", lambda _connection, sets: dict.fromkeys(sets.items(), b"x" * 100)
     )
     texts = Texts()
     begin = threading.Barrier(8)
