@@ -6,10 +6,10 @@ STAMP  := $(VENV)/.installed
 KERNELS := $(VENV)/.kernels
 
 .DEFAULT_GOAL := help
-.PHONY: help system install demo test check format bench studies docs faults lock audit clean
+.PHONY: help system install demo test test-quick check format bench studies docs faults lock audit clean
 
 help:            ## this list
-	@grep -hE '^[a-z]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 12
+	@grep -hE '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 12
 
 system:          ## the system packages that the tests need, where they are not: a Chromium, strace, a C compiler
 	@wanted=; \
@@ -33,6 +33,7 @@ $(STAMP): requirements/dev.txt pyproject.toml
 # all are compiled anew.
 $(KERNELS): $(STAMP) $(shell grep -rl --include='*.py' njit magcal_core)
 	@find magcal_core -name '*.nb[ci]' -delete
+	@$(BIN)/python -m magcal_core.compile_kernels
 	@touch $(KERNELS)
 
 install: $(KERNELS) ## a virtual environment in .venv with magcal and its tools
@@ -52,6 +53,10 @@ format: $(STAMP)  ## let ruff rewrite what it can
 
 test: system check $(KERNELS) ## the checks and every test
 	$(BIN)/python -m pytest $(if $(PYTEST_ARGS),$(PYTEST_ARGS),-n 2 --dist loadfile)
+
+test-quick: $(KERNELS) ## what a change needs while one works on it: no browser, no PostgreSQL, no killed process
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow and not postgres and not browser and not real_data" \
+	  --ignore tests/faults --ignore tests/browser
 
 faults: $(KERNELS) ## kill, pause and fill real processes; MAGCAL_FAULT_TRIALS=N for more of it
 	$(BIN)/python -m pytest tests/faults

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 
 from magcal_core.errors import MagcalError
@@ -29,6 +30,12 @@ class ConflictError(ServiceError):
     """The request does not fit the present state."""
 
     code = "conflict"
+
+
+class OtherObjectError(ConflictError):
+    """An orbit is of another object than the satellite that it is sent for."""
+
+    code = "other_object"
 
 
 class InProgressError(ServiceError):
@@ -155,3 +162,7 @@ class RefusedVerdictError(ServiceError):
     """The parameter set's verdict is ``refuse``."""
 
     code = "verdict_refuse"
+
+
+def _without_value(match: re.Match[str]) -> str:
+    return match["proposed"] or "'...'"

@@ -11,10 +11,13 @@ from fastapi import APIRouter, FastAPI
 from fastapi_offline import FastAPIOffline
 from starlette.concurrency import run_in_threadpool
 
+from app.aboard import endpoints as aboard
 from app.access import key_endpoints as keys
 from app.access.authentication import FailureLimiter, RecentKeys, SteadyClock
 from app.access.idempotency import Running
 from app.access.oidc import open_issuer
+from app.connectors.orbits.watch import stopped_sources
+from app.connectors.orbits.watcher import OrbitWatcher
 from app.dashboard import endpoints as displays
 from app.dashboard import pages
 from app.field import endpoints as field
@@ -31,10 +34,15 @@ from app.http.receiving import Admission, sweep_incoming
 from app.jobs import endpoints as jobs
 from app.jobs.engines.open_engine import Engine, open_engine
 from app.maintenance import satellite_endpoints
+from app.monitoring import endpoints as monitoring
+from app.monitoring import rollouts, trends
+from app.notifications import endpoints as notifications
+from app.notifications.event_stream import NewestEntry
+from app.notifications.notifier import Notifier
 from app.operations import health
 from app.orbits import endpoints as orbits
+from app.parameter_sets import bias_paths, pointing, refits
 from app.parameter_sets import endpoints as parameter_sets
-from app.parameter_sets import pointing, refits
 from app.parameter_sets.json_listing import Texts
 from app.satellites import endpoints as satellites
 from app.sessions import endpoints as sessions
@@ -43,13 +51,16 @@ from app.storage.database import Database
 from app.storage.identity import expect_own
 from app.storage.open_store import open_store
 from app.uploads import confirmation
+from app.uploads import endpoints as uploads
 from app.uploads.batching import Keeper
 from app.uploads.ingest import Ingest
 
 API: Final = "/api/v1"
 ROOMS: Final = (
     sessions,
+    uploads,
     confirmation,
+    monitoring,
     satellites,
     satellite_endpoints,
     orbits,
@@ -57,9 +68,14 @@ ROOMS: Final = (
     parameter_sets,
     pointing,
     refits,
+    bias_paths,
+    trends,
+    rollouts,
+    aboard,
     field,
     keys,
     displays,
+    notifications,
 )
 STOP_GRACE_S: Final = 20.0
 
@@ -96,6 +112,12 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
     app.state.running = Running()
     app.state.ingest = Ingest(database, store, app.state.queue, settings)
     app.state.keeper = Keeper(app.state.ingest, database)
+    app.state.newest_entry = NewestEntry(database)
+    app.state.is_stopping = lambda: False
+    app.state.notifier = Notifier(database, settings)
+    app.state.stopped_sources = lambda: stopped_sources(database)
+    source = settings.orbit_source
+    app.state.orbits = None if source is None else OrbitWatcher(database, settings, source)
     app.include_router(health.router)
     api = APIRouter(prefix=API)
     for room in ROOMS:
@@ -123,10 +145,16 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         log.info("incoming_swept", files=left)
     if engine.workers is not None:
         engine.workers.start()
+    app.state.notifier.start()
+    if app.state.orbits is not None:
+        app.state.orbits.start()
     try:
         yield
     finally:
         if engine.workers is not None:
             await run_in_threadpool(engine.workers.stop, STOP_GRACE_S)
         await run_in_threadpool(app.state.keeper.close)
+        if app.state.orbits is not None:
+            await run_in_threadpool(app.state.orbits.stop)
+        await run_in_threadpool(app.state.notifier.stop)
         app.state.database.close()

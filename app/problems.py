@@ -30,7 +30,7 @@ from app.errors import (
     UploadTooLargeError,
     UploadTruncatedError,
 )
-from magcal_core.errors import EstimationError, InputError, MagcalError, PropagationError
+from magcal_core.errors import EstimationError, InputError, MagcalError, PropagationError, TooFewSetsError
 
 
 class FaultBody(TypedDict):
@@ -53,6 +53,7 @@ class Problem(TypedDict):
 
 STATUS: Final[Mapping[type[MagcalError], int]] = {
     InputError: 422,
+    TooFewSetsError: 409,
     EstimationError: 422,
     PropagationError: 422,
     NotFoundError: 404,

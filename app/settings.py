@@ -71,6 +71,33 @@ class Settings(BaseSettings):
     )
     login_hours: PositiveFloat = Field(12.0, description="Life of a dashboard login, h.")
 
+    event_days: PositiveFloat = Field(30.0, description="What happened, and deliveries, are kept so long, days.")
+    webhook_hosts: str = Field(
+        "", description="Hosts, addresses and networks that webhooks may go to, comma-separated; empty: none."
+    )
+    webhook_retry_hours: PositiveFloat = Field(24.0, description="Try a delivery again for so long, then park it, h.")
+    notify_urls: str = Field("", description="Apprise URLs of people to tell, separated by spaces; empty: none.")
+    notify_quiet: str | None = Field(
+        None, pattern=r"^([01]\d|2[0-3]):[0-5]\d-([01]\d|2[0-3]):[0-5]\d$",
+        description="Hours in which no message goes out, UTC, such as 22:00-06:00.",
+    )  # fmt: skip
+    notify_per_hour: PositiveInt = Field(12, description="Most messages of an hour; what is more comes as one digest.")
+    public_url: str | None = Field(None, description="Address of the dashboard for links in messages; unset: no links.")
+
+    orbit_source: Literal["celestrak", "space-track", "satnogs", "url", "folder"] | None = Field(
+        None, description="Where `serve` keeps orbits fresh from; unset: nowhere."
+    )
+    orbit_every_h: float = Field(
+        8.0, ge=2.0, description="Ask for one satellite's orbit once in so long, h; 2 at least."
+    )
+    celestrak_url: str = Field("https://celestrak.org", description="Address of CelesTrak.")
+    space_track_url: str = Field("https://www.space-track.org", description="Address of Space-Track.")
+    space_track_user: str | None = Field(None, description="Login of Space-Track.")
+    space_track_password_file: Path | None = Field(None, description="File that holds its password.")
+    satnogs_url: str = Field("https://db.satnogs.org", description="Address of SatNOGS DB.")
+    orbit_url: str | None = Field(None, description="Address of an orbit message with {norad_id} in it.")
+    orbit_folder: Path | None = Field(None, description="Folder of orbit messages, named by satellite or NORAD id.")
+
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="Least level that is logged.")
     log_format: Literal["json", "console"] = Field("json", description="Form of the log on stderr.")
 

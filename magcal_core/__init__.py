@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from magcal_core.calibration.refit.refit import RefitOptions as RefitOptions
     from magcal_core.calibration.refit.refit import refit as refit
     from magcal_core.calibration.result import Calibration as Calibration
+    from magcal_core.calibration.sessions.trend import Trend as Trend
+    from magcal_core.calibration.sessions.trend import trend as trend
+    from magcal_core.calibration.terms.bias_path import bias_path as bias_path
+    from magcal_core.calibration.terms.bias_steps import bias_steps as bias_steps
     from magcal_core.field.dipole import DirectDipole as DirectDipole
     from magcal_core.field.igrf import Igrf as Igrf
     from magcal_core.field.models import field_model as field_model
@@ -28,6 +32,7 @@ if TYPE_CHECKING:
     from magcal_core.sensor.model import SensorModel as SensorModel
     from magcal_core.simulation.telemetry import simulate as simulate
     from magcal_core.telemetry import read_samples as read_samples
+    from magcal_core.which_object import which_object as which_object
 
 _HOME: Final[dict[str, str]] = {
     "Calibration": "calibration.result",
@@ -42,12 +47,17 @@ _HOME: Final[dict[str, str]] = {
     "SensorModel": "sensor.model",
     "Sgp4Orbit": "orbit.propagators.sgp4",
     "StateVector": "orbit.messages.state",
+    "Trend": "calibration.sessions.trend",
+    "bias_path": "calibration.terms.bias_path",
+    "bias_steps": "calibration.terms.bias_steps",
     "calibrate": "pipeline",
     "field_model": "field.models",
     "parse_orbits": "orbit.sources",
     "read_samples": "telemetry",
     "refit": "calibration.refit.refit",
     "simulate": "simulation.telemetry",
+    "trend": "calibration.sessions.trend",
+    "which_object": "which_object",
     "with_reference": "reference.columns",
 }
 

@@ -155,6 +155,18 @@ class MomentsError(InputError):
     code = "moments"
 
 
+class BeyondHistoryError(InputError):
+    """The time is too far outside the history that a trend was made from."""
+
+    code = "beyond_history"
+
+
+class TooFewSetsError(InputError):
+    """Fewer parameter sets count than a trend needs."""
+
+    code = "too_few_sets"
+
+
 class ModelRangeError(InputError):
     """Time or place is outside a model's validity."""
 

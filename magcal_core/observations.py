@@ -15,7 +15,7 @@ from magcal_core.numerics.vectors import lengths
 from magcal_core.samples import Samples, selects_all
 from magcal_core.sensor.correction import FittedReadings
 from magcal_core.sensor.parameters import Parameters
-from magcal_core.sensor.regressors import TIME_REGRESSOR, is_of_scale, regressor_of, source_of
+from magcal_core.sensor.regressors import TIME_REGRESSOR, is_of_scale, is_step, regressor_of, source_of, step_column
 from magcal_core.units import NT_PER_UNIT
 
 UNIT_RATIO: Final = (0.1, 10.0)
@@ -152,6 +152,8 @@ def _regressor(samples: Samples, name: str, t_s: Floats) -> Floats:
     source = source_of(name)
     if source == TIME_REGRESSOR and source not in samples.housekeeping:
         return regressor_of(name, t_s / 3600.0, samples.h_nt)
+    if is_step(source):
+        return regressor_of(name, step_column(name, samples.t_utc), samples.h_nt)
     if source not in samples.housekeeping:
         known = ", ".join([TIME_REGRESSOR, *samples.housekeeping])
         raise OptionError(f"no housekeeping column {source!r}; there are {known}")

@@ -14,6 +14,7 @@ ORBIT_MODELS: Final = ("sgp4", "numerical")
 TIME_OFFSETS: Final = ("auto", "none", "estimate")
 ROBUST_LOSSES: Final = ("none", "huber", "soft_l1", "cauchy", "tukey")
 NOISE_MODELS: Final = ("none", "white")
+BIAS_STEPS: Final = ("auto", "fit", "none")
 
 
 class OptionValues(TypedDict, total=False):
@@ -29,6 +30,8 @@ class OptionValues(TypedDict, total=False):
     robust: str
     noise_model: str
     noise_nt: float | None
+    bias_steps: str
+    windows: float | str | None
     max_orbit_age_days: float
     bootstrap: int
     seed: int
@@ -49,6 +52,9 @@ class CalibrationOptions:
         ``temperature*h``: that column moves the scale.
     robust, noise_model : loss and noise model.
     noise_nt : noise of one component, nT, where it is known.
+    bias_steps : ``auto``: look for steps of the bias inside the data and name them; ``fit``: fit them as well;
+        ``none``.
+    windows : hours of windows that are calibrated one by one beside the whole, with their trend, or ``auto``.
     max_orbit_age_days : orbits further from the data are refused.
     bootstrap : replicates of the block bootstrap, 0 for none; ``seed`` makes them repeatable.
 
@@ -68,6 +74,8 @@ class CalibrationOptions:
     robust: str = "none"
     noise_model: str = "none"
     noise_nt: float | None = None
+    bias_steps: str = "auto"
+    windows: float | str | None = None
     max_orbit_age_days: float = 14.0
     bootstrap: int = 0
     seed: int = 0
@@ -155,6 +163,12 @@ def _regressors(value: object) -> str | None:
     return None if len(set(value)) == len(value) else "a column is named twice"
 
 
+def _windows(value: object) -> str | None:
+    if value is None or value == "auto":
+        return None
+    return None if _number(0.1, 8784.0, "h")(value) is None else "want hours, a number from 0.1 to 8784, or auto"
+
+
 _CHECKS: Final[Mapping[str, _Check]] = {
     "method": _one_of(METHODS),
     "field": _field_name,
@@ -166,6 +180,8 @@ _CHECKS: Final[Mapping[str, _Check]] = {
     "robust": _one_of(ROBUST_LOSSES),
     "noise_model": _one_of(NOISE_MODELS),
     "noise_nt": _number(1e-6, 1e6, "nT", may_be_none=True),
+    "bias_steps": _one_of(BIAS_STEPS),
+    "windows": _windows,
     "max_orbit_age_days": _number(0.0, 36525.0, "d"),
     "bootstrap": _whole(0, 10_000),
     "seed": _whole(0, 2**63 - 1),

@@ -10,6 +10,7 @@ from typing import Unpack
 import numpy as np
 
 from magcal_core.arrays import Progress
+from magcal_core.bias_in_session import Session, wants_moments, with_moving_bias
 from magcal_core.calibration.diagnosis.device_steps import steps_of
 from magcal_core.calibration.diagnosis.mounting import mounting_of
 from magcal_core.calibration.diagnosis.residual_table import residual_table
@@ -100,8 +101,13 @@ def calibrate(
     what = (estimate.estimator, estimate.observations, estimate.fit, estimate.settings)
     judgement = judgement_of(*what, circumstances, None if estimate.clock is None else estimate.clock.honest)
     tell(0.95)
-    moments = _moments(referenced, estimate, judgement) if with_moments else None
-    calibration = _assemble(referenced, estimate, judgement, left_out, suspected, moments)
+    moments = _moments(referenced, estimate, judgement) if with_moments or wants_moments(chosen) else None
+    calibration = _assemble(referenced, estimate, judgement, left_out, suspected, moments if with_moments else None)
+
+    def again(part: Samples, options: CalibrationOptions) -> Calibration:
+        return calibrate(part, orbits, options, active=active, with_moments=with_moments)
+
+    calibration = with_moving_bias(calibration, moments, Session(samples, orbits, chosen), again)
     tell(1.0)
     return calibration
 
@@ -128,6 +134,7 @@ def _source(referenced: Referenced, estimate: _Estimate) -> ReferenceSource:
         referenced.field,
         estimate.estimator.is_vector,
         None if clock is None else clock.offset_error_s,
+        referenced.report.interpolation_km,
     )
 
 

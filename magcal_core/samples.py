@@ -37,6 +37,8 @@ class SampleFlag(enum.IntFlag):
     """the quaternion is missing or not a unit quaternion"""
     NO_HOUSEKEEPING = 256
     """a housekeeping column has no value here"""
+    BIAS_STEP = 4096
+    """in one of the two blocks of time about a step of the bias that the fit has as an unknown"""
 
 
 EXCLUDED: Final = (
@@ -45,6 +47,7 @@ EXCLUDED: Final = (
     | SampleFlag.CONFLICTING_TIME
     | SampleFlag.SATURATED
     | SampleFlag.NO_REFERENCE
+    | SampleFlag.BIAS_STEP
 )
 """Flags that keep a sample out of every fit."""
 

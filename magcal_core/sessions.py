@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magcal_core.calibration.sessions.joint import DEFAULT_SHARED, JointFit, joint_fit
 from magcal_core.calibration.sessions.monitoring import ActiveSet, SessionJudgement, judge_session
@@ -18,7 +20,17 @@ from magcal_core.reference.columns import with_reference
 from magcal_core.reference.referenced_samples import Referenced, in_time_order, oriented
 from magcal_core.samples import Samples
 from magcal_core.sensor.parameters import Parameters
-from magcal_core.sensor.regressors import is_of_scale, missing_columns, regressor_of, source_of
+from magcal_core.sensor.regressors import (
+    NO_TIME_BASE,
+    TIME_REGRESSOR,
+    hours_since,
+    is_of_scale,
+    missing_columns,
+    regressor_of,
+    source_of,
+    with_steps,
+    with_time,
+)
 
 
 def calibrate_jointly(
@@ -45,16 +57,33 @@ def calibrate_jointly(
     if any(map(is_of_scale, chosen.regressors)):
         raise OptionError("regressors: a joint calibration takes those of the bias, not those of the scale")
     is_vector = chosen.method.startswith("vector")
-    observed = []
+    observed, begun = [], []
     for samples in sessions.values():
         referenced = Referenced.of(samples, orbits, chosen)
         usable = referenced.usable(chosen.regressors, is_vector)
+        begun.append(referenced.samples.t_utc[usable].min() if TIME_REGRESSOR not in samples.housekeeping else None)
         if time_offset_s and referenced.has_orbit:
             shift_s = np.full(int(np.count_nonzero(usable)), time_offset_s)
             observed.append(referenced.shifted(usable, chosen.regressors, shift_s))
         else:
             observed.append(referenced.observations(usable, chosen.regressors))
-    return joint_fit(observed, list(sessions), shared=shared, is_vector=is_vector, robust=chosen.robust)
+    begin = min((one for one in begun if one is not None), default=None)
+    if begin is not None and TIME_REGRESSOR in chosen.regressors:
+        observed = [_since_begin(o, one, begin) for o, one in zip(observed, begun, strict=True)]
+    fit = joint_fit(observed, list(sessions), shared=shared, is_vector=is_vector, robust=chosen.robust)
+    return fit if TIME_REGRESSOR not in chosen.regressors else fit.with_time_base(begin)
+
+
+def _since_begin(o: Observations, own: np.datetime64 | None, begin: np.datetime64) -> Observations:
+    """Return the observations with ``time``, which they count since their ``own`` beginning, counted since ``begin``.
+
+    One time base for all sessions: the bias of each is then that of one and the same instant.
+    """
+    if own is None:
+        return o
+    return replace(
+        o, regressors={**o.regressors, TIME_REGRESSOR: o.regressors[TIME_REGRESSOR] + hours_since(own, begin)}
+    )
 
 
 def monitor(
@@ -79,9 +108,26 @@ def monitor(
     for column in map(source_of, active.parameters.regressors):
         if column in filled.housekeeping:
             usable &= np.isfinite(filled.housekeeping[column])
+    active = _since(active, filled, usable)
     columns = list(active.parameters.regressors)
     observations = Observations.of(oriented(filled, usable), columns, usable.astype(np.float64))
     return judge_session(observations, active)
+
+
+def _since(active: ActiveSet, samples: Samples, usable: NDArray[np.bool_]) -> ActiveSet:
+    """Return the set with ``time`` counted as the observations of the ``usable`` samples count it: since the first.
+
+    Raises
+    ------
+    OptionError
+        The set drifts with time and does not say since when.
+    """
+    parameters = active.parameters
+    if not parameters.follows_time or TIME_REGRESSOR in samples.housekeeping or not usable.any():
+        return active
+    if parameters.time_base_utc is None:
+        raise OptionError(NO_TIME_BASE)
+    return active.at_time_base(samples.t_utc[usable][0])
 
 
 def _reference_of(samples: Samples, *, is_vector: bool) -> np.typing.NDArray[np.float64]:
@@ -109,12 +155,14 @@ def compare_sensors(
 def _corrected(samples: Samples, parameters: Parameters) -> CorrectedReadings:
     ordered = in_time_order(samples)
     used = ordered.take(ordered.is_used)
-    missing = missing_columns(parameters.regressors, used.housekeeping)
+    timed = with_time(used.housekeeping, used.t_utc, parameters.time_base_utc)
+    keeping = with_steps(parameters.regressors, timed, used.t_utc)
+    missing = missing_columns(parameters.regressors, keeping)
     if missing:
         raise OptionError(f"no housekeeping column {missing[0]!r}, which the parameters need")
     n = len(used)
     columns = {
-        name: regressor_of(name, np.asarray(used.housekeeping[source_of(name)], np.float64), used.h_nt)
+        name: regressor_of(name, np.asarray(keeping[source_of(name)], np.float64), used.h_nt)
         for name in parameters.regressors
     }
     plain = Observations(np.zeros(n), used.h_nt, np.ones(n), None, np.ones(n), columns)

@@ -7,11 +7,15 @@ from typing import Literal
 from alembic import context
 from alembic.autogenerate.api import AutogenContext
 
+import app.aboard.tables
 import app.access.audit_trail
 import app.access.idempotency
 import app.access.key_tables
+import app.connectors.tables
 import app.jobs.tables
+import app.notifications.tables
 import app.orbits.tables
+import app.outbox.tables
 import app.parameter_sets.tables
 import app.satellites.tables
 import app.sessions.tables

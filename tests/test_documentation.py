@@ -1,6 +1,7 @@
 """The documentation names everything that a user can meet: one setting, code, method or format too many fails."""
 
 import importlib
+import importlib.util
 import pkgutil
 import re
 from collections.abc import Iterator
@@ -27,6 +28,9 @@ UNSEEN = {
     "abandoned",
     "demo",
     "print",
+    "source_answer",
+    "source_unreachable",
+    "source_content",
     "no_browser",
     "unreachable",
     "folder_taken",
@@ -107,3 +111,13 @@ def test_every_promise_of_the_reliability_page_has_a_figure_and_what_holds_it() 
         assert named, name
         missing = [one for one in named if one not in rooms and not (DOCS.parent / "tests" / one).exists()]
         assert missing == [], name
+
+
+def test_the_drawings_of_the_house_show_the_imports_that_the_code_has() -> None:
+    spec = importlib.util.spec_from_file_location("draw_house", DOCS / "draw_house.py")
+    assert spec is not None
+    assert spec.loader is not None
+    draw_house = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(draw_house)
+    for name, drawing in draw_house.drawings().items():
+        assert (DOCS / "images" / name).read_text(encoding="utf-8") == drawing, f"python docs/draw_house.py: {name}"

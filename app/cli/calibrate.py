@@ -21,33 +21,53 @@ from app.cli.options import (
     ColumnMap,
     F,
     LateProgress,
+    Windows,
     added,
     orbits_of_file,
     usage_error,
 )
 from magcal_core.errors import InputError, OptionError
-from magcal_core.options import METHODS, NOISE_MODELS, ORBIT_MODELS, ROBUST_LOSSES, TIME_OFFSETS, CalibrationOptions
-from magcal_core.units import NT_PER_UNIT
+from magcal_core.options import (
+    BIAS_STEPS,
+    METHODS,
+    NOISE_MODELS,
+    ORBIT_MODELS,
+    ROBUST_LOSSES,
+    TIME_OFFSETS,
+    CalibrationOptions,
+)
+from magcal_core.units import COUNTS, NT_PER_UNIT
 
 if TYPE_CHECKING:
     from magcal_core.calibration.result import Calibration
     from magcal_core.calibration.sessions.monitoring import ActiveSet
     from magcal_core.samples import Samples
     from magcal_core.telemetry import Telemetry
+    from magcal_core.telemetry.iso_times import Spans
 
 STDIN: Final = "-"
 
 
-def _telemetry_options(function: F) -> F:
+def telemetry_options(function: F) -> F:
     """Add the options of how telemetry is read."""
     return added(function, [
-        click.option("--unit", type=click.Choice(list(NT_PER_UNIT)), default="nT", show_default=True,
+        click.option("--unit", type=click.Choice([*NT_PER_UNIT, COUNTS]), default="nT", show_default=True,
                      help="Unit of the readings."),
+        click.option("--nt-per-count", type=float, help="nT in one count, where the unit is counts."),
         click.option("--columns", type=ColumnMap(), help='The file\'s own names: {"time": "ts", "bx": "mag_0", ...}.'),
         click.option("--format", "kind", type=click.Choice(["csv", "ndjson", "json", "parquet"]),
                      help="Format.  [default: told by the file's ending or its first bytes]"),
         click.option("--range", "range_nt", type=float, help="Range of the sensor, nT: readings beyond are saturated."),
         click.option("--time-scale", type=click.Choice(["utc", "gps"]), default="utc", show_default=True),
+        click.option("--time-format",
+                     help="Form of the times where it is neither ISO 8601 with a zone nor seconds since 1970: utc, "
+                          "unix-ms, gps, gps-week, j2000, jd, mjd, doy, boot, .. or a pattern: '%d.%m.%Y %H:%M'."),
+        click.option("--time-epoch", help="Instant that --time-format boot counts from; the year of doy."),
+        click.option("--fill", "fill_values", type=float, multiple=True,
+                     help="Number that stands for a missing reading, in the unit of the file; any number of them."),
+        click.option("--validity-column", help="Column that says which readings are good."),
+        click.option("--valid-value", "valid_values", multiple=True,
+                     help="Value of it that does.  [default: all but 0, false, invalid, ..]"),
         click.option("--max-bad", "max_bad_fraction", type=click.FloatRange(0, 1), default=0.05, show_default=True,
                      help="Share of samples without a reading or reference that is still accepted."),
         click.option("--any-field", is_flag=True,
@@ -81,6 +101,10 @@ def _estimation_options(function: F) -> F:
         click.option("--robust", type=click.Choice(ROBUST_LOSSES), help="Loss.  [default: none]"),
         click.option("--noise-model", type=click.Choice(NOISE_MODELS), help="[default: none]"),
         click.option("--noise", "noise_nt", type=float, help="Noise of a component, nT, where it is known."),
+        click.option("--bias-steps", type=click.Choice(BIAS_STEPS),
+                     help="Steps of the bias inside the data: named, fitted, or not looked for.  [default: auto]"),
+        click.option("--windows", type=Windows(),
+                     help="Calibrate windows of so many hours, or auto, one by one as well, with their trend."),
         click.option("--bootstrap", type=int, help="Replicates of the block bootstrap.  [default: 0]"),
         click.option("--seed", type=int, help="Seed of the bootstrap.  [default: 0]"),
     ])  # fmt: skip
@@ -91,7 +115,7 @@ def _estimation_options(function: F) -> F:
                 type=click.Path(exists=True, dir_okay=False, allow_dash=True, path_type=Path))  # fmt: skip
 @_orbit_options
 @_estimation_options
-@_telemetry_options
+@telemetry_options
 @click.option("--active", type=INPUT_FILE, help="Parameter set in force: the verdict tells where the new one differs.")
 @click.option("--json", "as_json", is_flag=True, help="Print the parameter set as JSON.")
 @click.option("--residuals", type=OUTPUT_FILE, help="Write the residual table: .csv, .ndjson, .json or .parquet.")
@@ -103,10 +127,16 @@ def command(
     state: tuple[Path, ...],
     orbit_file: tuple[Path, ...],
     unit: str,
+    nt_per_count: float | None,
     columns: Mapping[str, str] | None,
     kind: str | None,
     range_nt: float | None,
     time_scale: str,
+    time_format: str | None,
+    time_epoch: str | None,
+    fill_values: tuple[float, ...],
+    validity_column: str | None,
+    valid_values: tuple[str, ...],
     max_bad_fraction: float,
     any_field: bool,
     corrected_with: Path | None,
@@ -121,16 +151,20 @@ def command(
     Without reference columns in the telemetry (ref_bx.., ref_b, ref_eci_x.., x_km..) an orbit is needed.
     """
     from magcal_core.pipeline import calibrate
+    from magcal_core.reference.columns import orbit_spans
     from magcal_core.telemetry import format_of_name
 
     options = _options(asked)
     if residuals is not None and format_of_name(residuals) is None:
         raise click.UsageError(f"{residuals}: the ending tells no format; use .csv, .ndjson, .json or .parquet")
-    reading = Reading(unit, columns, kind, range_nt, time_scale, max_bad_fraction, not any_field)
-    samples, inputs = _read_all(telemetry, reading)
+    orbits = [orbit for path in (*tle, *state, *orbit_file) for orbit in orbits_of_file(path)]
+    declared = Declared(nt_per_count, time_format, time_epoch, fill_values, validity_column, valid_values)
+    reading = Reading(
+        unit, columns, kind, range_nt, time_scale, max_bad_fraction, not any_field, declared, orbit_spans(orbits)
+    )
+    samples, inputs = read_all(telemetry, reading)
     if corrected_with is not None:
         samples = _uncorrected(samples, corrected_with, inputs)
-    orbits = [orbit for path in (*tle, *state, *orbit_file) for orbit in orbits_of_file(path)]
     with LateProgress("calibrating") as progress:
         calibration = calibrate(samples, orbits, options, active=_in_force(active), progress=progress)
     record = parameter_set(calibration, inputs)
@@ -145,6 +179,18 @@ def command(
 
 
 @dataclass(frozen=True, slots=True)
+class Declared:
+    """What is declared of telemetry that does not say it itself."""
+
+    nt_per_count: float | None = None
+    time_format: str | None = None
+    time_epoch: str | None = None
+    fill_values: tuple[float, ...] = ()
+    validity_column: str | None = None
+    valid_values: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Reading:
     """How telemetry files are read."""
 
@@ -155,6 +201,8 @@ class Reading:
     time_scale: str
     max_bad_fraction: float
     is_field_checked: bool
+    declared: Declared
+    orbit_spans: Spans
 
     def read(self, path: Path) -> tuple[Telemetry, str]:
         """Return the telemetry of one file, or of stdin, and the SHA-256 of its bytes."""
@@ -169,13 +217,20 @@ class Reading:
             format=self.kind or format_of_name(path),
             range_nt=self.range_nt,
             time_scale=self.time_scale,
+            nt_per_count=self.declared.nt_per_count,
+            time_format=self.declared.time_format,
+            time_epoch=self.declared.time_epoch,
+            fill_values=self.declared.fill_values,
+            validity_column=self.declared.validity_column,
+            valid_values=self.declared.valid_values,
+            orbit_spans=self.orbit_spans,
             field_range_nt=LEO_FIELD_NT if self.is_field_checked else None,
             max_bad_fraction=self.max_bad_fraction,
         )
         return telemetry, hashlib.sha256(content).hexdigest()
 
 
-def _read_all(paths: tuple[Path, ...], reading: Reading) -> tuple[Samples, list[dict[str, object]]]:
+def read_all(paths: tuple[Path, ...], reading: Reading) -> tuple[Samples, list[dict[str, object]]]:
     """Return the samples of all files, and what they were."""
     from magcal_core.telemetry import merge_samples
 

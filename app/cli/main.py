@@ -22,6 +22,10 @@ COMMANDS: Final[dict[str, str]] = {
     "calibrate": "Calibrate telemetry files with no server: files in, parameter set out.",
     "simulate": "Simulate the telemetry of a tumbling satellite, with its truth beside it.",
     "push": "Send telemetry to a magcal service; safe to repeat.",
+    "trend": "Parameters over many sets: where they are now, how long the active set stays good.",
+    "pull": "Pull telemetry from a Yamcs, SatNOGS or HAPI archive.",
+    "orbits": "Keep the satellites' orbits fresh from a catalogue.",
+    "which-object": "Tell of which object of a launch telemetry is, by the residuals that each one's orbit leaves.",
     "report": "The report of a parameter set as one HTML file, or PDF.",
     "convert": "Convert parameters between conventions, loss-free.",
     "rom": "Simulate attitude control by magnetometer, gyros and wheels.",
@@ -43,7 +47,7 @@ class LazyGroup(click.Group):
         """Import and return a command."""
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = importlib.import_module(f"app.cli.{cmd_name}").command
+        command: click.Command = importlib.import_module(f"app.cli.{cmd_name.replace('-', '_')}").command
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

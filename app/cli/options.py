@@ -74,6 +74,21 @@ class ColumnMap(click.ParamType[Mapping[str, str]]):
         return columns
 
 
+class Windows(click.ParamType[float | str]):
+    """Hours of a window, or ``auto``."""
+
+    name = "HOURS|auto"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float | str:
+        """Return the hours of ``value``, or ``auto``."""
+        if value == "auto":
+            return "auto"
+        try:
+            return float(str(value))
+        except ValueError:
+            self.fail(f"{value!r}: want hours, or auto", param, ctx)
+
+
 class VectorCommand(click.Command):
     """A command whose vector options also take three separate numbers: ``--bias 1 2 3`` beside ``--bias 1,2,3``."""
 

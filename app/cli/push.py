@@ -53,8 +53,8 @@ def command(
     asked for again, and sent again where the service does not have it: after a restore from a backup, push once.
     """
     from app.client.blocking import Client
+    from app.client.folder import taken
     from app.client.station import Destination, Station
-    from app.client_folder import taken
 
     if not telemetry.is_dir():
         if watch:

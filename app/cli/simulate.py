@@ -134,7 +134,7 @@ def command(
 def _instant(text: str) -> np.datetime64:
     import numpy as np
 
-    from magcal_core.telemetry.times import parse_iso_ns
+    from magcal_core.telemetry.iso_times import parse_iso_ns
 
     try:
         return np.datetime64(parse_iso_ns(text), "ns")

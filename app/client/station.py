@@ -23,9 +23,9 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from app.client.blocking import Client, ServiceAnswerError, ServiceUnreachableError, media_type_of
+from app.client.folder import Look, aside, is_being_written, is_too_long, put_aside, read_file
+from app.client.receipts import Receipt, append_receipt, read_receipts
 from app.client.requests import MOST_CONFIRMED, ForeignAnswerError
-from app.client_folder import Look, aside, is_being_written, is_too_long, put_aside, read_file
-from app.client_receipts import Receipt, append_receipt, read_receipts
 from magcal_core.errors import MagcalError
 from magcal_core.telemetry import format_of_name
 

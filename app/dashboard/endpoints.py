@@ -32,6 +32,7 @@ from app.http.dependencies import Blobs, Db
 from app.http.schemas import Page, utc_text
 from app.orbits.parsing import orbit_of
 from app.orbits.repository import OrbitRepository
+from app.parameter_sets.bias_paths import path_of_set
 from app.parameter_sets.json_listing import listed
 from app.parameter_sets.pointing import pointing_impact
 from app.parameter_sets.repository import ParameterSetRepository
@@ -40,6 +41,7 @@ from app.parameter_sets.tables import ParameterSet
 from app.records.arrow import from_bytes
 from app.records.parameter_set import ParameterSetRecord
 from app.records.residual_table import residuals_of
+from app.reporting import figures
 from app.satellites.repository import SatelliteRepository
 from app.sessions.repository import SessionRepository, samples_of
 from app.storage.store import Store, residuals_key
@@ -143,6 +145,10 @@ def get_parameter_set_figure(
     etag = figure_routes.etag("set", row.id, figure, query.theme)
     if request.headers.get("if-none-match") == etag:
         return Response(status_code=304, headers={"ETag": etag})
+    if figure == "bias-path":
+        errors_nt = record_of(row)["standard_errors"]["bias_nt"]
+        path = path_of_set(row.id, caller, db, store)
+        return figure_routes.answer(figures.bias_path_figure(path, figures.THEMES[query.theme], errors_nt), etag)
     residuals = None if figure in figure_routes.OF_RECORD else _residuals(row, db, store)
     made = figure_routes.parameter_set_figure(figure, record_of(row), residuals, query.theme)
     return figure_routes.answer(made, etag)
@@ -177,6 +183,8 @@ def get_history_figure(
     """Draw a figure of a satellite's history: its last 1,000 parameter sets."""
     with db.read() as session:
         SatelliteRepository(session, caller).get(satellite_id)
+        if figure == "trend":
+            return figure_routes.answer(figure_routes.trend_figure(session, caller, satellite_id, query))
         if figure == "sessions":
             return figure_routes.answer(figure_routes.timeline_figure(session, caller, satellite_id, query))
         wanted = ParameterSetQuery(satellite=satellite_id, magnetometer=query.magnetometer, limit=MOST_SETS)

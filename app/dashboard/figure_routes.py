@@ -16,13 +16,16 @@ from app.dashboard.overview import timeline
 from app.dashboard.schemas import HistoryFigureQuery
 from app.dashboard.set_summaries import summaries
 from app.errors import NotFoundError
+from app.monitoring.trends import stored_sets, trend_of
 from app.parameter_sets.json_listing import Listed
 from app.records.parameter_set import ParameterSetRecord
 from app.reporting import figures
 from app.reporting.figures.extras import ablation_rows
 from app.reporting.figures.style import Theme
+from app.satellites.repository import SatelliteRepository
 from magcal_core.arrays import Floats
 from magcal_core.calibration.residuals import ResidualTable
+from magcal_core.errors import OptionError
 from magcal_core.samples import Samples
 
 if TYPE_CHECKING:
@@ -90,6 +93,28 @@ def history_figure(session: Session, sets: Listed, name: str, theme: str) -> Fig
     if name == "residual":
         return figures.rms_history(history, look)
     return figures.tle_age_history(history, look)
+
+
+def trend_figure(session: Session, caller: Caller, satellite_id: str, query: HistoryFigureQuery) -> Figure:
+    """Return the figure of the trend of a magnetometer; that of a satellite which has one alone need not be named.
+
+    Raises
+    ------
+    TooFewSetsError
+        Fewer than three sets count.
+    OptionError
+        The satellite has several magnetometers and none is named.
+    """
+    sensors = SatelliteRepository(session, caller)
+    name = query.magnetometer
+    if name is None:
+        names = [one.id for one in sensors.magnetometers([satellite_id])[satellite_id]]
+        if len(names) > 1:
+            raise OptionError("magnetometer: the satellite has several; a trend is that of one")
+        name = names[0] if names else ""
+    sensor = sensors.magnetometer(satellite_id, name)
+    found = trend_of(stored_sets(session, satellite_id, sensor.id))
+    return figures.trend_figure(found, figures.THEMES[query.theme])
 
 
 def timeline_figure(session: Session, caller: Caller, satellite_id: str, query: HistoryFigureQuery) -> Figure:

@@ -160,7 +160,15 @@ class CompareQuery(FigureQuery):
 
 
 SetFigure = Literal[
-    "before-after", "residual-time", "histogram", "autocorrelation", "sphere", "map", "correlation", "ablation"
+    "before-after",
+    "residual-time",
+    "histogram",
+    "autocorrelation",
+    "sphere",
+    "map",
+    "correlation",
+    "ablation",
+    "bias-path",
 ]
 SessionFigure = Literal["raw", "coverage", "housekeeping"]
-HistoryFigure = Literal["history", "residual", "orbit-age", "sessions"]
+HistoryFigure = Literal["history", "residual", "orbit-age", "sessions", "trend"]

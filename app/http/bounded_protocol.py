@@ -49,7 +49,8 @@ class BoundedHttpProtocol(HttpToolsProtocol):
 
     It is closed where the head of a request does not end within `MOST_HEAD_BYTES` or ``silence_s``, or where what is
     left of a body does not come within ``silence_s`` of the answer. A longer head that arrives at once is left to
-    `app.http.middleware.request_limits`, which answers it with what it may be. Past ``most_connections`` it is answered 503 and closed.
+    `app.http.middleware.request_limits`, which answers it with what it may be.
+    Past ``most_connections`` it is answered 503 and closed.
     """
 
     silence_s: float = 10.0

@@ -14,7 +14,7 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
 
-from app.errors import ServiceError, StorageFullError, UnavailableError
+from app.errors import ServiceError, StorageFullError, UnavailableError, _without_value
 from app.problems import FaultBody, Problem, problem, problem_of
 from app.storage.retry import AWAY, DAMAGED, is_contention
 from magcal_core.errors import MagcalError
@@ -29,8 +29,13 @@ MOST_OF_A_PLACE: Final = 400
 """Characters of a member's name, and of the way to it, that an answer repeats."""
 
 
-QUOTED: Final = re.compile(r"""(?<!did you mean )(?<!mapped to )(?:'(?:[^'\\]|\\.){3,}'|"(?:[^"\\]|\\.){3,}")""")
-"""A value as the core's messages quote it; names of columns that it proposes stay."""
+QUOTED: Final = re.compile(
+    r"""(?P<proposed>did\ you\ mean\ '[^']*'|mapped\ to\ '[^']*'|column\ map\ \{[^{}]*\}|--time-format\ "[^"]{1,100}")
+    |(?<!\w)'(?:[^'\\]|\\.){3,}'|"(?:[^"\\]|\\.){3,}\"""",
+    re.VERBOSE,
+)
+"""A value as the core's messages quote it; names of columns, and forms of times, that it proposes stay, and so do
+apostrophes, which follow a letter."""
 
 
 def problem_response(body: Problem, headers: Mapping[str, str] | None = None) -> JSONResponse:
@@ -58,9 +63,9 @@ def _magcal_error(_request: Request, error: Exception) -> JSONResponse:
 def _without_values(body: Problem) -> Problem:
     """Return ``body`` with the values that the core quotes left out: an answer does not repeat what was sent."""
     bare = Problem(**body)
-    bare["detail"] = QUOTED.sub("'...'", body["detail"])
+    bare["detail"] = QUOTED.sub(_without_value, body["detail"])
     if "errors" in body:
-        bare["errors"] = [{**fault, "why": QUOTED.sub("'...'", fault["why"])} for fault in body["errors"]]
+        bare["errors"] = [{**fault, "why": QUOTED.sub(_without_value, fault["why"])} for fault in body["errors"]]
     return bare
 
 

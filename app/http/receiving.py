@@ -11,18 +11,16 @@ import shutil
 import tempfile
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, Protocol
 
 from fastapi import Request
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 
-from app.access.authentication import authenticate
-from app.access.caller import Caller
 from app.errors import (
     BusyError,
     DigestMismatchError,
@@ -62,6 +60,15 @@ class Upload:
     media_type: str
 
 
+class KeyHolder(Protocol):
+    """Whose uploads are counted together: those of one key."""
+
+    @property
+    def key_id(self) -> str:
+        """The key's identifier."""
+        ...
+
+
 class Admission:
     """How many uploads may be in flight at once in this process, of all keys and of one."""
 
@@ -75,7 +82,7 @@ class Admission:
         """How many uploads there are at the moment."""
         return self._per_key.total()
 
-    def check(self, caller: Caller) -> None:
+    def check(self, caller: KeyHolder) -> None:
         """Raise `QuotaError` or `BusyError` where there is no place: asked first, it refuses a crowd cheaply."""
         used = self._per_key[caller.key_id]
         if used >= self._most_per_key:
@@ -84,7 +91,7 @@ class Admission:
             raise BusyError(f"{self._most} uploads are in flight, which is the limit; try again")
 
     @asynccontextmanager
-    async def place(self, caller: Caller) -> AsyncIterator[None]:
+    async def place(self, caller: KeyHolder) -> AsyncIterator[None]:
         """Hold a place while an upload is received and kept.
 
         Raises
@@ -144,8 +151,10 @@ def check_declared(request: Request, settings: Settings) -> int:
     return declared
 
 
-async def receive(request: Request, settings: Settings) -> Upload:
+async def receive(request: Request, settings: Settings, authenticate: Callable[[Request], object]) -> Upload:
     """Return the whole body of ``request``.
+
+    ``authenticate`` is asked again where the body took long: it raises where the key was revoked meanwhile.
 
     Raises
     ------

@@ -12,7 +12,7 @@ from sqlalchemy import ColumnElement, select, text, union_all
 from sqlalchemy.orm import Session, aliased
 
 from app.access.idempotency import IdempotencyKey
-from app.client_receipts import read_receipts
+from app.client.receipts import read_receipts
 from app.errors import StoredObjectCorruptError
 from app.jobs.reprocessing import KIND, UNENDED
 from app.jobs.tables import Job

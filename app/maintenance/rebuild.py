@@ -84,7 +84,9 @@ def _rebuild_chunk(database: Database, store: Store, settings: Settings, place: 
             return None
         magnetometer = session.get_one(Magnetometer, (row.satellite_id, row.magnetometer_id))
         raw = store.get(session, raw_key(row.satellite_id, chunk.sha256), chunk.sha256)
-        columns = encode(SensorReading.of(magnetometer).read(raw, chunk.media_type, settings).samples)
+        columns = encode(
+            SensorReading.of_chunk(chunk.reading, magnetometer).read(raw, chunk.media_type, settings).samples
+        )
         key, sha256 = columns_key(*place), digest(columns)
         if sha256 == chunk.columns_sha256 and is_whole(store, session, key, sha256):
             return False

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Request
 from pydantic import Field
 from sqlalchemy.orm import Session
+from starlette.concurrency import run_in_threadpool
 
-from app.access.authentication import Reader
+from app.access.authentication import Reader, authenticate
 from app.access.caller import SYSTEM, Caller
 from app.errors import NotFoundError
-from app.http.dependencies import Blobs, Db
+from app.http.dependencies import Blobs, Config, Db
+from app.http.receiving import Upload, receive
 from app.http.schemas import Filter, Identifier, Record
 from app.http.strict_json import StrictJsonRoute
 from app.orbits.parsing import orbit_of
@@ -20,12 +22,23 @@ from app.parameter_sets.repository import ParameterSetRepository
 from app.parameter_sets.tables import ParameterSet
 from app.sessions.repository import SessionRepository, samples_of
 from app.sessions.tables import TelemetrySession
+from app.storage.database import Database
 from app.storage.store import Store
 from magcal_core.errors import OptionError
 from magcal_core.orbit import Orbit
+from magcal_core.orbit.sources import parse_sources
 from magcal_core.samples import Samples
+from magcal_core.which_object import WhichObject, which_object
 
 router = APIRouter(route_class=StrictJsonRoute, tags=["sessions"])
+
+ORBITS_BODY: Final = {
+    "requestBody": {
+        "description": "Orbits of all objects of a launch, in any form that orbits are read in.",
+        "required": True,
+        "content": {kind: {"schema": {}} for kind in ("text/plain", "application/json", "application/xml", "text/csv")},
+    }
+}
 
 ORBIT_AGE_DAYS = 14.0
 
@@ -169,3 +182,61 @@ def _orbits(session: Session, row: TelemetrySession) -> list[Orbit]:
 
 def _samples(session: Session, caller: Caller, row: TelemetrySession, store: Store) -> Samples:
     return samples_of(SessionRepository(session, caller).columns(row.id, store))
+
+
+class ObjectQuery(Filter):
+    """Which orbits count."""
+
+    max_orbit_age_days: float = Field(
+        ORBIT_AGE_DAYS, gt=0, le=1000, description="Refuse orbits further from the session."
+    )
+
+
+class ObjectRead(Record):
+    """One object, and how well its orbits explain the session."""
+
+    norad_id: str
+    cospar_id: str
+    name: str
+    epoch: str
+    age_days: float
+    residual_nt: float | None = Field(description="1.4826 times the median size of the residual.")
+    behind_first: float | None = Field(description="Standard errors by which its residuals exceed those of the first.")
+    reason: str | None
+
+
+class WhichObjectRead(Record):
+    """Which of the objects the session is of; the smallest residual first."""
+
+    state: Literal["told", "ambiguous", "none"]
+    text: str
+    objects: list[ObjectRead]
+
+
+@router.post("/sessions/{session_id}/which-object", openapi_extra=ORBITS_BODY)
+async def tell_object(
+    session_id: Identifier,
+    query: Annotated[ObjectQuery, Query()],
+    request: Request,
+    *,
+    caller: Reader,
+    db: Db,
+    store: Blobs,
+    config: Config,
+) -> WhichObjectRead:
+    """Tell of which object a session is, by the residuals that the orbits of each leave; nothing is kept."""
+    columns = await run_in_threadpool(_columns, session_id, caller, db, store)
+    async with request.app.state.uploads.place(caller):
+        upload = await receive(request, config, authenticate)
+        found = await run_in_threadpool(_told, columns, upload, query.max_orbit_age_days)
+    return WhichObjectRead.model_validate(found.to_dict())
+
+
+def _columns(session_id: str, caller: Caller, db: Database, store: Store) -> list[bytes]:
+    with db.read() as session:
+        return SessionRepository(session, caller).columns(session_id, store)
+
+
+def _told(columns: list[bytes], upload: Upload, max_age_days: float) -> WhichObject:
+    sources = parse_sources(upload.content, upload.media_type)
+    return which_object(samples_of(columns), sources, max_orbit_age_days=max_age_days)

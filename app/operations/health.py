@@ -6,8 +6,9 @@ import shutil
 from typing import Literal
 
 import structlog
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Request, Response
 from prometheus_client import CONTENT_TYPE_LATEST
+from pydantic import Field
 from sqlalchemy import text
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -37,6 +38,7 @@ class Ready(Record):
     store: State
     queue: State
     disk: State
+    stopped_sources: list[str] = Field(description="Sources of orbits that are no longer asked, and why.")
 
 
 @router.get("/healthz")
@@ -46,7 +48,9 @@ async def alive() -> Alive:
 
 
 @router.get("/readyz", responses={503: {"model": Ready, "description": "Something is out of reach."}})
-def ready(db: Db, store: Blobs, queue: Jobs, config: Config, response: Response) -> Ready:
+def ready(  # noqa: PLR0917  FastAPI reads a call's inputs from its arguments
+    request: Request, db: Db, store: Blobs, queue: Jobs, config: Config, response: Response
+) -> Ready:
     """Say whether database, store, queue and disk are in reach."""
     found = {
         "database": _database(db),
@@ -56,7 +60,7 @@ def ready(db: Db, store: Blobs, queue: Jobs, config: Config, response: Response)
     }
     status = _state(all(state == "ok" for state in found.values()))
     response.status_code = 200 if status == "ok" else 503
-    return Ready(status=status, **found)
+    return Ready(status=status, stopped_sources=_stopped(request, db), **found)
 
 
 @router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
@@ -67,6 +71,14 @@ def metrics(db: Db) -> Response:
 
 def _state(is_good: bool) -> State:
     return "ok" if is_good else "failing"
+
+
+def _stopped(request: Request, db: Db) -> list[str]:
+    """Return which sources of orbits had to be stopped; that is no reason to take the service out of use."""
+    if _database(db) != "ok":
+        return []
+    found: list[str] = request.app.state.stopped_sources()
+    return found
 
 
 def _database(db: Db) -> State:

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import datetime, timedelta
 from typing import Annotated, Final
 
 from fastapi import APIRouter, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from app.access.authentication import OrbitSource, Reader
+from app.access.authentication import OrbitSource, Reader, authenticate
 from app.access.caller import Caller
 from app.http.dependencies import Config, Db
 from app.http.receiving import receive
 from app.http.schemas import Page
 from app.http.strict_json import StrictJsonRoute
 from app.orbits.nearest import chosen
-from app.orbits.parsing import parse_message
+from app.orbits.objects import check_objects
+from app.orbits.parsing import ParsedOrbit, parse_message
 from app.orbits.repository import OrbitRepository
-from app.orbits.schemas import OrbitDetail, OrbitList, OrbitQuery, OrbitRead
+from app.orbits.schemas import OrbitDetail, OrbitList, OrbitQuery, OrbitRead, OrbitUpload
 from app.orbits.tables import OrbitRow
+from app.satellites.repository import SatelliteRepository
 from app.storage.retry import retried
 
 router = APIRouter(route_class=StrictJsonRoute, prefix="/satellites/{satellite_id}/orbits", tags=["orbits"])
@@ -50,13 +53,20 @@ def _values(row: OrbitRow, at: datetime | None = None) -> dict[str, object]:
     responses={200: {"model": OrbitList, "description": "All of them were there already."}},
 )
 async def create_orbits(
-    satellite_id: str, request: Request, response: Response, caller: OrbitSource, db: Db, config: Config
+    satellite_id: str,
+    query: Annotated[OrbitUpload, Query()],
+    request: Request,
+    response: Response,
+    caller: OrbitSource,
+    db: Db,
+    config: Config,
 ) -> OrbitList:
     """Send the orbits of a satellite; those that are there already are not kept twice."""
     await run_in_threadpool(_require, satellite_id, caller, db)
     async with request.app.state.uploads.place(caller):
-        upload = await receive(request, config)
-        orbits, is_any_new = await run_in_threadpool(_keep, satellite_id, upload.content, upload.media_type, caller, db)
+        upload = await receive(request, config, authenticate)
+        parsed = await run_in_threadpool(parse_message, upload.content, upload.media_type)
+        orbits, is_any_new = await run_in_threadpool(_keep, satellite_id, parsed, caller, db, is_forced=query.force)
     response.status_code = 201 if is_any_new else 200
     return orbits
 
@@ -66,11 +76,13 @@ def _require(satellite_id: str, caller: Caller, db: Db) -> None:
         OrbitRepository(session, caller, satellite_id)
 
 
-def _keep(satellite_id: str, body: bytes, media_type: str, caller: Caller, db: Db) -> tuple[OrbitList, bool]:
-    parsed = parse_message(body, media_type)
-
+def _keep(
+    satellite_id: str, parsed: Sequence[ParsedOrbit], caller: Caller, db: Db, *, is_forced: bool
+) -> tuple[OrbitList, bool]:
     def add() -> tuple[list[OrbitRow], bool]:
         with db.write() as session:
+            if not is_forced:
+                check_objects(SatelliteRepository(session, caller).get(satellite_id), parsed)
             return OrbitRepository(session, caller, satellite_id).add(parsed)
 
     rows, is_any_new = retried(add)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from typing import Final
 
+import numpy as np
 from sqlalchemy import select
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
@@ -14,16 +15,28 @@ from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.errors import NotFoundError
 from app.http.paging import fetch_page
+from app.http.schemas import utc_text
 from app.orbits.parsing import ParsedOrbit
 from app.orbits.schemas import OrbitQuery
 from app.orbits.tables import OrbitRow
 from app.satellites.repository import SatelliteRepository
 from app.storage.database import new_id, utc_now
 from app.storage.store import digest
+from magcal_core.errors import OptionError
 
-MOST_CANDIDATES: Final = 400
+MOST_EPHEMERIDES: Final = 400
+"""Ephemerides, of some megabytes each, that one calibration takes."""
+MOST_STATES: Final = 20_000
+"""TLEs, OMMs and state vectors that one calibration takes: four a day for thirteen years."""
+MOST_INSTANTS: Final = 400
+"""Epochs that a time which cannot be read is held against: the newest ones."""
+NEAR_DAYS: Final = 1.0
 ROWS_AT_ONCE: Final = 500
 """Orbits that one statement asks for."""
+
+
+def _core_time(instant: datetime) -> np.datetime64:
+    return np.datetime64(instant.astimezone(UTC).replace(tzinfo=None), "ns")
 
 
 class OrbitRepository:
@@ -88,16 +101,38 @@ class OrbitRepository:
             statement = statement.where(OrbitRow.format == query.format)
         return fetch_page(self.session, statement, (OrbitRow.epoch, OrbitRow.id), query)
 
+    def instants(self) -> list[tuple[np.datetime64, np.datetime64 | None]]:
+        """Return epoch, and end of an ephemeris, of the satellite's orbits, the newest first."""
+        statement = select(OrbitRow.epoch, OrbitRow.until).where(OrbitRow.satellite_id == self.satellite_id)
+        rows = self.session.execute(statement.order_by(OrbitRow.epoch.desc()).limit(MOST_INSTANTS))
+        return [(_core_time(epoch), None if until is None else _core_time(until)) for epoch, until in rows]
+
     def around(self, begin: datetime, end: datetime, margin_days: float) -> list[OrbitRow]:
-        """Return the orbits that may serve data from ``begin`` to ``end``, and the nearest on each side in any case."""
+        """Return every orbit that may serve data from ``begin`` to ``end``, in the order of their epochs.
+
+        These are the ephemerides that cover a part of them, the states and elements with epochs among them and up to a
+        day around them (at most ``margin_days``), and the nearest one on each side in any case: farther ones are never
+        the nearest to any of the data, also where their clock is off.
+
+        Raises
+        ------
+        OptionError
+            There are more of them than one calibration takes; none is left out silently.
+        """
         own = select(OrbitRow).where(OrbitRow.satellite_id == self.satellite_id)
         free = own.where(OrbitRow.until.is_(None))
-        margin = timedelta(days=margin_days)
+        margin = timedelta(days=min(margin_days, NEAR_DAYS))
         inside = free.where(OrbitRow.epoch.between(begin - margin, end + margin)).order_by(OrbitRow.epoch)
         covering = own.where(OrbitRow.epoch <= end, OrbitRow.until >= begin)
         before = free.where(OrbitRow.epoch <= begin).order_by(OrbitRow.epoch.desc()).limit(1)
-        after = free.where(OrbitRow.epoch >= begin).order_by(OrbitRow.epoch).limit(1)
-        found: dict[str, OrbitRow] = {}
-        for statement in (before, after, covering.limit(MOST_CANDIDATES), inside.limit(MOST_CANDIDATES)):
-            found |= {row.id: row for row in self.session.scalars(statement)}
+        after = free.where(OrbitRow.epoch >= end).order_by(OrbitRow.epoch).limit(1)
+        found = {row.id: row for statement in (before, after) for row in self.session.scalars(statement)}
+        for statement, most, kind in ((covering, MOST_EPHEMERIDES, "ephemerides"), (inside, MOST_STATES, "TLEs")):
+            rows = self.session.scalars(statement.limit(most + 1)).all()
+            if len(rows) > most:
+                raise OptionError(
+                    f"more than {most} {kind} serve the data from {utc_text(begin)} to {utc_text(end)}: calibrate less "
+                    "of them at a time"
+                )
+            found |= {row.id: row for row in rows}
         return sorted(found.values(), key=lambda row: (row.epoch, row.id))

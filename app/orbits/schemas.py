@@ -6,9 +6,15 @@ from typing import Literal
 
 from pydantic import Field, JsonValue
 
-from app.http.schemas import PageQuery, Record, UtcTime
+from app.http.schemas import Filter, PageQuery, Record, UtcTime
 
 OrbitFormat = Literal["tle", "omm", "oem", "state"]
+
+
+class OrbitUpload(Filter):
+    """How orbits are taken."""
+
+    force: bool = Field(False, description="Keep orbits whose NORAD or COSPAR id is not the satellite's.")
 
 
 class OrbitRead(Record):

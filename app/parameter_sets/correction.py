@@ -11,7 +11,8 @@ from magcal_core.arrays import Floats
 from magcal_core.errors import Fault, TelemetryFormatError
 from magcal_core.samples import Samples
 from magcal_core.sensor.model import SensorModel
-from magcal_core.sensor.regressors import is_of_scale, missing_columns, source_of
+from magcal_core.sensor.parameters import Parameters
+from magcal_core.sensor.regressors import is_of_scale, missing_columns, source_of, with_steps, with_time
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,16 +21,15 @@ class Correction:
 
     sensor: SensorModel
     regressors: Mapping[str, Floats]
+    time_base_utc: np.datetime64 | None = None
 
     @classmethod
     def of(cls, record: Mapping[str, object]) -> Correction:
         """Return the correction that a parameter set's record describes."""
-        parameters = record["parameters"]
-        if not isinstance(parameters, dict):
-            raise TypeError("a parameter set without parameters")
-        bias, scale, angles = (np.array(parameters[name]) for name in ("bias_nt", "scale", "nonorthogonality_deg"))
-        regressors = {name: np.array(value) for name, value in parameters["regressors"].items()}
-        return cls(SensorModel(bias, scale, angles), regressors)
+        found = Parameters.from_record(record)
+        return cls(
+            SensorModel(found.bias_nt, found.scale, found.nonorthogonality_deg), found.regressors, found.time_base_utc
+        )
 
     def apply(self, samples: Samples) -> Samples:
         """Return ``samples`` with corrected readings in the base frame, nT."""
@@ -43,12 +43,14 @@ class Correction:
 
     def _terms(self, samples: Samples) -> tuple[Floats, Floats]:
         """Return what the bias and, as a share of the raw reading, the scale add to each reading, shape (n, 3)."""
-        missing = missing_columns(self.regressors, samples.housekeeping)
+        timed = with_time(samples.housekeeping, samples.t_utc, self.time_base_utc)
+        keeping = with_steps(self.regressors, timed, samples.t_utc)
+        missing = missing_columns(self.regressors, keeping)
         if missing:
             faults = [Fault(f"column {name}", "missing; the parameter set has it as a regressor") for name in missing]
             raise TelemetryFormatError("the telemetry lacks a regressor of the parameter set", faults)
         drift_nt, share = np.zeros_like(samples.h_nt), np.zeros_like(samples.h_nt)
         for name, change in self.regressors.items():
             added = share if is_of_scale(name) else drift_nt
-            added += samples.housekeeping[source_of(name)][:, None] * change
+            added += keeping[source_of(name)][:, None] * change
         return drift_nt, share

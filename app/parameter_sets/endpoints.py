@@ -7,7 +7,7 @@ from typing import Annotated, Any, Final
 from fastapi import APIRouter, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from app.access.authentication import Operator, Reader
+from app.access.authentication import Operator, Reader, authenticate
 from app.access.caller import Caller
 from app.errors import NotFoundError
 from app.http.dependencies import Blobs, Config, Db
@@ -31,7 +31,7 @@ from app.parameter_sets.schemas import (
 from app.parameter_sets.tables import ParameterSet
 from app.records.arrow import from_bytes
 from app.satellites.tables import Magnetometer
-from app.sessions.sensor_reading import PLAIN, SensorReading
+from app.sessions.sensor_reading import PLAIN, SensorReading, in_axes_of
 from app.settings import Settings
 from app.storage.store import residuals_key
 from magcal_core.samples import Samples
@@ -134,7 +134,7 @@ async def apply_parameter_set(
     """Correct telemetry to nT in time order; `inverse=true` turns that back into raw readings in their own unit."""
     row, sensor = await run_in_threadpool(_row_and_sensor, parameter_set_id, caller, db)
     async with request.app.state.uploads.place(caller):
-        upload = await receive(request, config)
+        upload = await receive(request, config, authenticate)
         sent = MEDIA_TYPES.get(upload.media_type.partition(";")[0].strip().lower(), "csv")
         form = wanted_format(request, query.format, sent)
         samples = await run_in_threadpool(_applied, row, sensor, upload, config, inverse=query.inverse)
@@ -146,7 +146,7 @@ def _row_and_sensor(parameter_set_id: str, caller: Caller, db: Db) -> tuple[Para
     with db.read() as session:
         row = ParameterSetRepository(session, caller).get(parameter_set_id)
         sensor = session.get_one(Magnetometer, (row.satellite_id, row.magnetometer_id))
-        return row, SensorReading.of(sensor)
+        return row, in_axes_of(row.record, SensorReading.of(sensor))
 
 
 def _applied(row: ParameterSet, sensor: SensorReading, upload: Upload, settings: Settings, *, inverse: bool) -> Samples:

@@ -136,7 +136,7 @@ def get_refit(
     """Fit anew from the moments that the fit left: one Gauss-Newton step under its weights; nothing is stored."""
     from magcal_core.calibration.refit.refit import refit
 
-    options, moments = _options(query), _moments(parameter_set_id, caller, db, store)
+    options, moments = _options(query), moments_of_set(parameter_set_id, caller, db, store)
     with PLACES.one():
         found = refit(moments, options).to_dict()
     return RefitRead.model_validate(without_nan(found | {"parameter_set_id": parameter_set_id}))
@@ -172,7 +172,7 @@ def _span(text: str) -> tuple[np.datetime64, np.datetime64]:
     return begin, end
 
 
-def _moments(parameter_set_id: str, caller: Caller, db: Db, store: Store) -> FitMoments:
+def moments_of_set(parameter_set_id: str, caller: Caller, db: Db, store: Store) -> FitMoments:
     """Return the moments of a parameter set that the caller reaches.
 
     Raises

@@ -27,6 +27,11 @@ class ParametersRead(Record):
     nonorthogonality_deg: list[float | None]
     time_offset_s: float | None
     regressors: dict[str, list[float | None]]
+    time_base_utc: str | None = Field(
+        None,
+        description="Since when the regressor `time` counts its hours; only where there is one.",
+        exclude_if=lambda value: value is None,
+    )
 
 
 class ParameterSetRead(Record):
@@ -86,7 +91,7 @@ class ExportQuery(Filter):
     """In which convention and format a parameter set is written for flight software."""
 
     convention: str = Field("exact", max_length=32)
-    format: Literal["json", "csv", "yaml", "c"] = "json"
+    format: Literal["json", "csv", "yaml", "c", "gomspace", "fprime"] = "json"
 
 
 class ApplyQuery(TableQuery):

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from magcal_core.sensor.model import SensorModel
-from magcal_core.sensor.regressors import is_of_scale, source_of
+from magcal_core.sensor.regressors import TIME_REGRESSOR, is_of_scale, source_of
 
 B_NT: Final = (21000.0, -14000.0, 33000.0)
 """The field of the worked reading, in the magnetometer's base frame, nT: of the size and slant of a low orbit's."""
@@ -43,15 +43,20 @@ class Worked:
     magnitude_nt: float
 
 
-def formula(convention: str, regressors: Sequence[str]) -> str:
-    """Return how a reading in nT is corrected in ``convention``, with the names that the export has."""
-    drift = "".join(f" + regressors.{name} * {_column(name)}" for name in regressors)
+def formula(convention: str, regressors: Sequence[str], *, is_since: bool = False) -> str:
+    """Return how a reading in nT is corrected in ``convention``, with the names that the export has.
+
+    ``is_since``: whether the regressor ``time`` counts since the ``time_base_utc`` of the export.
+    """
+    drift = "".join(f" + regressors.{name} * {_column(name, is_since=is_since)}" for name in regressors)
     axes = ", regressors of raw axis by axis" if any(map(is_of_scale, regressors)) else ""
     return f"{FORMULAS[convention]}; offset = bias_nt{drift}; raw, offset, corrected in nT{axes}"
 
 
-def _column(name: str) -> str:
-    return f"column {source_of(name)} * raw" if is_of_scale(name) else f"column {name}"
+def _column(name: str, *, is_since: bool) -> str:
+    source = source_of(name)
+    column = "(hours since time_base_utc)" if is_since and source == TIME_REGRESSOR else f"column {source}"
+    return f"{column} * raw" if is_of_scale(name) else column
 
 
 def worked(sensor: SensorModel, regressors: Mapping[str, Sequence[float]]) -> Worked:

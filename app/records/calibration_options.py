@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -22,6 +22,12 @@ class CalibrationOptionsBody(Body):
     robust: Literal["none", "huber", "soft_l1", "cauchy", "tukey"] | None = None
     noise_model: Literal["none", "white"] | None = None
     noise_nt: float | None = Field(None, gt=0, description="Unset: the magnetometer's.")
+    bias_steps: Literal["auto", "fit", "none"] | None = Field(
+        None, description="Steps of the bias inside the data: named, fitted, or not looked for."
+    )
+    windows: Annotated[float, Field(ge=0.1, le=8784)] | Literal["auto"] | None = Field(
+        None, description="Hours of windows that are calibrated one by one as well, with their trend."
+    )
     max_orbit_age_days: float | None = Field(None, ge=0, le=36525)
     bootstrap: int | None = Field(None, ge=0, le=10_000)
     seed: int | None = Field(None, ge=0)

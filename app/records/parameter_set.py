@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import cache
-from typing import Final
+from typing import Final, NotRequired
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
 from typing_extensions import TypedDict
@@ -23,6 +23,7 @@ class ParametersRecord(TypedDict):
     nonorthogonality_deg: list[float | None]
     time_offset_s: float | None
     regressors: dict[str, list[float | None]]
+    time_base_utc: NotRequired[str]
 
 
 class VerdictRecord(TypedDict):

@@ -129,6 +129,8 @@ def command_line(record: ParameterSetRecord) -> str:
         "robust": options.get("robust"),
         "noise-model": options.get("noise_model"),
         "noise": options.get("noise_nt"),
+        "bias-steps": options.get("bias_steps"),
+        "windows": options.get("windows"),
         "bootstrap": options.get("bootstrap") or None,
         "seed": options.get("seed") or None,
         "max-orbit-age-days": options.get("max_orbit_age_days"),
@@ -294,7 +296,7 @@ def _words(value: object) -> str:
 def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    made = Environment(loader=PackageLoader("app.dashboard"), autoescape=True, undefined=StrictUndefined)
+    made = Environment(loader=PackageLoader("app.reporting"), autoescape=True, undefined=StrictUndefined)
     made.filters["digits"] = lambda value, digits: "–" if value is None else f"{value:,.{digits}f}"
     made.filters["day"] = lambda text: text.replace("T", " ")[:19] + " UTC"
     made.filters["rows"] = lambda matrix, digits: (np.round(np.array(matrix), digits) + 0.0).tolist()

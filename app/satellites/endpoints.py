@@ -11,6 +11,7 @@ from app.access.authentication import Operator, Reader
 from app.http.dependencies import Db
 from app.http.schemas import Page, PageQuery
 from app.http.strict_json import StrictJsonRoute
+from app.satellites.reading import unit_of
 from app.satellites.repository import SatelliteRepository
 from app.satellites.schemas import (
     MagnetometerChange,
@@ -27,16 +28,12 @@ router = APIRouter(route_class=StrictJsonRoute, prefix="/satellites", tags=["sat
 
 
 def _magnetometer(row: Magnetometer) -> MagnetometerRead:
+    same = set(MagnetometerRead.model_fields) - {"satellite", "unit", "policy"}
     return MagnetometerRead(
-        id=row.id,
+        **{name: getattr(row, name) for name in same},
         satellite=row.satellite_id,
-        unit=row.unit,
-        noise_nt=row.noise_nt,
-        columns=row.columns,
-        axis_map=row.axis_map,
-        range_nt=row.range_nt,
+        unit=unit_of(row),
         policy=None if row.policy is None else Policy.model_validate(row.policy),
-        created_at=row.created_at,
     )
 
 
@@ -116,7 +113,7 @@ def get_magnetometer(satellite_id: str, magnetometer_id: str, caller: Reader, db
 def change_magnetometer(
     satellite_id: str, magnetometer_id: str, body: MagnetometerChange, caller: Operator, db: Db
 ) -> MagnetometerRead:
-    """Change a magnetometer's noise or the policy of its calibrations."""
+    """Change a magnetometer: how its telemetry is read from now on, its noise, the policy of its calibrations."""
     with db.write() as session:
         satellites = SatelliteRepository(session, caller)
         return _magnetometer(satellites.change_magnetometer(satellite_id, magnetometer_id, body))

@@ -12,6 +12,7 @@ from app.access.caller import Caller
 from app.errors import ConflictError, NotFoundError
 from app.http.paging import fetch_page
 from app.http.schemas import PageQuery
+from app.satellites.reading import changed
 from app.satellites.schemas import MagnetometerChange, MagnetometerCreate, SatelliteChange, SatelliteCreate
 from app.satellites.tables import Magnetometer, Satellite
 from app.storage.database import utc_now
@@ -57,9 +58,9 @@ class SatelliteRepository:
         satellite = self.get(satellite_id)
         if self.session.get(Magnetometer, (satellite.id, wanted.id)) is not None:
             raise ConflictError("the satellite has a magnetometer of this id already")
-        values = wanted.model_dump(exclude={"policy"})
         policy = None if wanted.policy is None else wanted.policy.model_dump(mode="json", exclude_unset=True)
-        row = Magnetometer(satellite_id=satellite.id, **values, policy=policy, created_at=utc_now())
+        row = Magnetometer(satellite_id=satellite.id, id=wanted.id, unit="nT", policy=policy, created_at=utc_now())
+        changed(row, wanted.model_dump(exclude={"policy", "id"}))
         self.session.add(row)
         record_event(self.session, self.caller, "magnetometer.create", row.id, satellite.id)
         return row
@@ -75,8 +76,9 @@ class SatelliteRepository:
     def change_magnetometer(self, satellite_id: str, magnetometer_id: str, wanted: MagnetometerChange) -> Magnetometer:
         """Return the magnetometer with what ``wanted`` has changed."""
         row = self.magnetometer(satellite_id, magnetometer_id)
-        if "noise_nt" in wanted.model_fields_set:
-            row.noise_nt = wanted.noise_nt
+        values = wanted.model_dump(exclude_unset=True, exclude={"policy"})
+        if values:
+            changed(row, values)
         if "policy" in wanted.model_fields_set:
             row.policy = None if wanted.policy is None else wanted.policy.model_dump(mode="json", exclude_unset=True)
         record_event(self.session, self.caller, "magnetometer.change", row.id, row.satellite_id)

@@ -35,24 +35,45 @@ class Policy(CalibrationOptionsBody):
     priority: int = Field(0, ge=-100, le=100)
 
 
-class MagnetometerCreate(Body):
-    """A magnetometer: its unit, and how its telemetry is read."""
+Unit = Literal["nT", "uT", "mT", "T", "G", "mG", "counts"]
+Columns = Annotated[dict[Name, ColumnName], Field(max_length=100)]
 
-    id: Slug
-    unit: Literal["nT", "uT", "mT", "T", "G", "mG"]
-    noise_nt: float | None = Field(None, gt=0, description="Noise of one reading, nT, 1 sigma.")
-    columns: dict[Name, ColumnName] | None = Field(None, max_length=100, description="Column of magcal -> yours.")
+
+class ReadingBody(Body):
+    """How telemetry is written; what is not said is as `docs/telemetry.md` has it."""
+
+    columns: Columns | None = Field(None, description="Column of magcal -> yours.")
     axis_map: list[Axis] | None = Field(
         None, min_length=3, max_length=3, description="Which sensor axis the base frame's x, y, z are."
     )
     range_nt: float | None = Field(None, gt=0, description="Readings at or beyond it are saturated, nT.")
-    policy: Policy | None = None
+    nt_per_count: float | None = Field(None, gt=0, lt=1e9, description="nT in one count, where the unit is counts.")
+    time_format: Annotated[str, StringConstraints(max_length=100)] | None = Field(
+        None, description="Form of the times where it is neither ISO 8601 with a zone nor seconds since 1970."
+    )
+    time_epoch: UtcTime | None = Field(None, description="Instant that seconds since boot count from; the year of doy.")
+    fill_values: list[float] | None = Field(
+        None, max_length=20, description="Numbers that stand for a missing reading, in the sensor's unit."
+    )
+    validity_column: ColumnName | None = Field(None, description="Column that says which readings are good.")
+    valid_values: list[str | float] | None = Field(
+        None, max_length=20, description="Its values that do; unset: all but 0, false, invalid and the like."
+    )
 
     @model_validator(mode="after")
     def _axes_differ(self) -> Self:
         if self.axis_map is not None and len({axis.lstrip("-") for axis in self.axis_map}) != 3:
             raise PydanticCustomError("axis_map", "axis_map names each of x, y, z once")
         return self
+
+
+class MagnetometerCreate(ReadingBody):
+    """A magnetometer: its unit, and how its telemetry is read."""
+
+    id: Slug
+    unit: Unit
+    noise_nt: float | None = Field(None, gt=0, description="Noise of one reading, nT, 1 sigma.")
+    policy: Policy | None = None
 
 
 class MagnetometerRead(Record):
@@ -65,6 +86,12 @@ class MagnetometerRead(Record):
     columns: dict[str, str] | None
     axis_map: list[str] | None
     range_nt: float | None
+    nt_per_count: float | None
+    time_format: str | None
+    time_epoch: str | None
+    fill_values: list[float] | None
+    validity_column: str | None
+    valid_values: list[str | float] | None
     policy: Policy | None
     created_at: UtcTime
 
@@ -88,9 +115,10 @@ class SatelliteChange(Body):
     retention_days: int | None = Field(None, ge=1, le=100_000)
 
 
-class MagnetometerChange(Body):
-    """What may change about a magnetometer without another meaning of what it has sent; what is left out stays."""
+class MagnetometerChange(ReadingBody):
+    """What may change about a magnetometer; what is left out stays, and so does how its sessions were read."""
 
+    unit: Unit | None = None
     noise_nt: float | None = Field(None, gt=0)
     policy: Policy | None = None
 

@@ -32,6 +32,7 @@ class Magnetometer(Base):
         CheckConstraint("noise_nt > 0", name="noise"),
         CheckConstraint("range_nt > 0", name="range"),
     )
+    # Counts have no unit of their own here, as older versions know six: they are kept as nT with ``nt_per_count``.
 
     satellite_id: Mapped[str] = mapped_column(ForeignKey("satellite.id"), primary_key=True)
     id: Mapped[str] = mapped_column(String(63), primary_key=True)
@@ -40,5 +41,11 @@ class Magnetometer(Base):
     columns: Mapped[dict[str, str] | None] = mapped_column(JsonColumn)
     axis_map: Mapped[list[str] | None] = mapped_column(JsonColumn)
     range_nt: Mapped[float | None]
+    nt_per_count: Mapped[float | None]
+    time_format: Mapped[str | None] = mapped_column(String(100))
+    time_epoch: Mapped[str | None] = mapped_column(String(40))
+    fill_values: Mapped[list[float] | None] = mapped_column(JsonColumn)
+    validity_column: Mapped[str | None] = mapped_column(String(200))
+    valid_values: Mapped[list[str | float] | None] = mapped_column(JsonColumn)
     policy: Mapped[dict[str, object] | None] = mapped_column(JsonColumn)
     created_at: Mapped[datetime]

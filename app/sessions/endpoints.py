@@ -15,7 +15,13 @@ from app.http.strict_json import StrictJsonRoute
 from app.http.tables import TABLES, table_response, wanted_format
 from app.satellites.repository import SatelliteRepository
 from app.sessions.repository import SessionRepository, samples_of
-from app.sessions.schemas import ChunkRead, SampleQuery, SessionDetail, SessionQuery, SessionRead
+from app.sessions.schemas import (
+    ChunkRead,
+    SampleQuery,
+    SessionDetail,
+    SessionQuery,
+    SessionRead,
+)
 from app.sessions.tables import TelemetrySession
 from magcal_core.telemetry import write_samples
 

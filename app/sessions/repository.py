@@ -72,10 +72,23 @@ class Parsed:
     media_type: str
     telemetry: Telemetry
     format: str
+    reading: dict[str, object] | None = None
 
     @classmethod
-    def of(cls, upload: Upload, telemetry: Telemetry, form: str, store: Store, raw: Packed | None = None) -> Parsed:
-        """Return the upload with its samples, encoded; ``raw`` where its bytes have been packed already."""
+    def of(
+        cls,
+        upload: Upload,
+        telemetry: Telemetry,
+        form: str,
+        store: Store,
+        raw: Packed | None = None,
+        *,
+        reading: dict[str, object] | None = None,
+    ) -> Parsed:
+        """Return the upload with its samples, encoded; ``raw`` where its bytes have been packed already.
+
+        ``reading`` is how its bytes were read.
+        """
         if any(map(has_unkeepable, column_names(telemetry.samples))):
             raise TelemetryFormatError("a column's name has a NUL or a character that is none")
         columns = encode(telemetry.samples)
@@ -85,6 +98,7 @@ class Parsed:
             upload.media_type[:200],
             telemetry,
             form,
+            reading,
         )
 
     def added_to(self, row: TelemetrySession | None) -> dict[str, object]:
@@ -147,6 +161,7 @@ class Writing:
                 "media_type": parsed.media_type,
                 "samples": len(parsed.telemetry.samples),
                 "columns_sha256": parsed.columns.sha256,
+                "reading": parsed.reading,
                 "created_at": utc_now(),
             }
         )
@@ -286,7 +301,9 @@ class SessionRepository:
         }
         for key, content in objects.items():
             store.replace(self.session, key, content)
-        chunk.columns_sha256 = parsed.columns.sha256
+        samples = len(parsed.telemetry.samples)
+        row.samples += samples - chunk.samples
+        chunk.samples, chunk.columns_sha256, chunk.reading = samples, parsed.columns.sha256, parsed.reading
         keep_after_all(self.session, list(objects))
         if row.raw_removed_at is not None and all(self._has_bytes(row, one, store) for one in chunks):
             row.raw_removed_at = None
@@ -307,6 +324,23 @@ class SessionRepository:
         writing = Writing()
         writing.add(row, len(chunks), parsed)
         writing.write(self.session, store)
+
+    def read_as(self, row: TelemetrySession, anew: Sequence[Parsed], store: Store) -> None:
+        """Replace what was read from the chunks of a session by ``anew``, one for each of them."""
+        if row.raw_removed_at is not None:
+            raise ExpiredError("the telemetry is past its satellite's retention and has been removed")
+        chunks = self.chunks(row.id)
+        if [chunk.sha256 for chunk in chunks] != [parsed.raw.sha256 for parsed in anew]:
+            raise ConflictError("the session was given another chunk meanwhile")
+        for number, (chunk, parsed) in enumerate(zip(chunks, anew, strict=True)):
+            for name, value in parsed.added_to(row if number else None).items():
+                setattr(row, name, value)
+            key = columns_key(row.id, chunk.sequence)
+            if chunk.columns_sha256 != parsed.columns.sha256:
+                store.replace(self.session, key, parsed.columns)
+                chunk.columns_sha256 = parsed.columns.sha256
+            chunk.samples, chunk.reading = len(parsed.telemetry.samples), parsed.reading
+        record_event(self.session, self.caller, "session.read_again", row.id, row.satellite_id)
 
     def close(self, row: TelemetrySession) -> None:
         """Close an open session; its identity is then that of its chunks."""

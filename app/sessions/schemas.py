@@ -48,7 +48,18 @@ class SessionDetail(SessionRead):
     chunks: list[ChunkRead]
 
 
-class UploadQuery(Filter):
+class ChunkQuery(Filter):
+    """How a chunk is read."""
+
+    time_epoch: UtcTime | None = Field(None, description="Instant that times in seconds since boot count from.")
+
+    @property
+    def epoch_text(self) -> str | None:
+        """The epoch as the core reads it."""
+        return None if self.time_epoch is None else self.time_epoch.isoformat()
+
+
+class UploadQuery(ChunkQuery):
     """Where an upload belongs."""
 
     magnetometer: Slug

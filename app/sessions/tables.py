@@ -63,4 +63,5 @@ class Chunk(Base):
     media_type: Mapped[str] = mapped_column(String(200))
     samples: Mapped[int]
     columns_sha256: Mapped[str] = mapped_column(String(64))
+    reading: Mapped[dict[str, object] | None] = mapped_column(JsonColumn)
     created_at: Mapped[datetime]

@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from app.access.authentication import Station
+from app.access.authentication import Operator, Station, authenticate
 from app.access.caller import Caller
 from app.access.idempotency import KeyHeader
 from app.http.dependencies import Config, Db
@@ -16,7 +16,7 @@ from app.http.strict_json import StrictJsonRoute
 from app.http.tables import TELEMETRY_BODY
 from app.sessions.endpoints import require_satellite, session_read
 from app.sessions.repository import SessionRepository
-from app.sessions.schemas import SessionRead, UploadQuery
+from app.sessions.schemas import ChunkQuery, SessionRead, UploadQuery
 from app.sessions.tables import TelemetrySession
 from app.uploads.ingest import Asked, Ingest
 
@@ -62,7 +62,7 @@ async def upload_session(
         await run_in_threadpool(_check_day, request, caller, state.database, state.settings)
     with state.running.hold(caller, key):
         async with state.uploads.place(caller):
-            upload = await receive(request, state.settings)
+            upload = await receive(request, state.settings, authenticate)
             kept = await state.keeper.keep(Asked(caller, satellite_id, query, upload, key))
     response.status_code = 201 if kept.is_new or kept.is_restored else 200
     response.headers["Location"] = f"/api/v1/sessions/{kept.session.id}"
@@ -73,14 +73,20 @@ async def upload_session(
 
 @router.post("/sessions/{session_id}/samples", openapi_extra=TELEMETRY_BODY)
 async def append_samples(
-    session_id: str, request: Request, caller: Station, config: Config, ingest: Ingests, db: Db
+    session_id: str,
+    query: Annotated[ChunkQuery, Query()],
+    request: Request,
+    caller: Station,
+    config: Config,
+    ingest: Ingests,
+    db: Db,
 ) -> SessionRead:
     """Append a chunk to an open session; the same bytes again change nothing."""
     await run_in_threadpool(_get_row, session_id, caller, db)
     await run_in_threadpool(_check_day, request, caller, db, config)
     async with request.app.state.uploads.place(caller):
-        upload = await receive(request, config)
-        return session_read(await run_in_threadpool(ingest.append, caller, session_id, upload))
+        upload = await receive(request, config, authenticate)
+        return session_read(await run_in_threadpool(ingest.append, caller, session_id, upload, query.epoch_text))
 
 
 @router.post("/sessions/{session_id}/close")
@@ -93,3 +99,9 @@ def close_session(session_id: str, caller: Station, ingest: Ingests) -> SessionR
 def _get_row(session_id: str, caller: Caller, db: Db) -> TelemetrySession:
     with db.read() as session:
         return SessionRepository(session, caller).get(session_id)
+
+
+@router.post("/sessions/{session_id}/read-again")
+def read_again(session_id: str, caller: Operator, ingest: Ingests) -> SessionRead:
+    """Read the bytes of a session again, as its magnetometer is read now."""
+    return session_read(ingest.read_again(caller, session_id))

@@ -12,14 +12,17 @@ from typing import Final
 
 from sqlalchemy.orm import Session
 
-from app.access.caller import Caller
+from app.access.caller import SYSTEM, Caller
 from app.access.idempotency import fingerprint, made_with, recall, remember
-from app.errors import ConflictError
+from app.errors import ConflictError, ExpiredError
 from app.http.receiving import Upload
 from app.jobs.queue import Queue
 from app.jobs.repository import JobRepository
 from app.jobs.schemas import CalibrationBody
 from app.metrics import UPLOAD_BYTES
+from app.orbits.repository import OrbitRepository
+from app.outbox.events import Event, session_received
+from app.outbox.log import append
 from app.satellites.repository import SatelliteRepository
 from app.satellites.schemas import Policy
 from app.satellites.tables import Magnetometer
@@ -31,9 +34,11 @@ from app.settings import Settings
 from app.storage.database import Database
 from app.storage.object_locks import hold_objects
 from app.storage.retry import retried
-from app.storage.store import Store
-from magcal_core.telemetry import format_of_bytes
+from app.storage.store import Store, raw_key
+from magcal_core.errors import TimeError
+from magcal_core.telemetry import Telemetry, format_of_bytes
 from magcal_core.telemetry.compression import decompress
+from magcal_core.telemetry.time_guesses import spans_of
 
 PACKED_BESIDE_BYTES: Final = 1 << 20
 """A larger body is compressed while it is parsed."""
@@ -66,7 +71,8 @@ class Asked:
     @property
     def fingerprint(self) -> str:
         """What makes the same upload the same."""
-        where = (self.satellite_id, self.query.magnetometer, str(self.query.open))
+        epoch = () if self.query.epoch_text is None else (self.query.epoch_text,)
+        where = (self.satellite_id, self.query.magnetometer, str(self.query.open), *epoch)
         return fingerprint("POST sessions", *where, self.upload.sha256)
 
     @property
@@ -110,10 +116,26 @@ class Ingest:
             magnetometer, known = sessions.place_of(asked.satellite_id, asked.query.magnetometer, sha256)
             found = sessions.get(known) if known is not None else self._find(session, asked) if asked.key else None
             is_kept = found is not None and sessions.is_whole(found, asked.upload.sha256, self._store)
+        if found is not None:
+            self._check_epoch(found, asked)
         if found is not None and is_kept and asked.key is None:
             return Kept(found, is_new=False)
-        parsed = None if is_kept else self._parsed(magnetometer, asked.upload, may_be_empty=asked.query.open)
+        parsed = None
+        if not is_kept:
+            parsed = self._parsed(magnetometer, asked.upload, asked.query.epoch_text, may_be_empty=asked.query.open)
         return Prepared(asked, magnetometer, parsed)
+
+    def _check_epoch(self, found: TelemetrySession, asked: Asked) -> None:
+        """Raise ConflictError where the bytes of an upload are there already, read from another instant of boot."""
+        if asked.query.epoch_text is None:
+            return
+        with self._database.read() as session:
+            readings = [chunk.reading for chunk in SessionRepository(session, asked.caller).chunks(found.id)]
+        epochs = {str(reading.get("time_epoch")) for reading in readings if reading is not None}
+        if epochs - {asked.query.epoch_text}:
+            raise ConflictError(
+                "the same bytes are a session already, with another instant that their times count from"
+            )
 
     def write(self, session: Session, uploads: Sequence[Prepared]) -> list[Kept]:
         """Return what ``uploads`` are kept as once the transaction of ``session`` is durable."""
@@ -121,6 +143,7 @@ class Ingest:
         writing = Writing()
         kept = [self._create(session, one, writing) for one in uploads]
         writing.write(session, self._store)
+        append(session, [_received(one.session) for one in kept if one.is_new and one.session.state == "closed"])
         return [
             replace(its, job_id=self._follow_policy(session, one.asked.caller, one.magnetometer, its.session))
             if its.is_new
@@ -155,12 +178,14 @@ class Ingest:
         if kept.job_id is not None:
             self._queue.announce()
 
-    def append(self, caller: Caller, session_id: str, upload: Upload) -> TelemetrySession:
+    def append(
+        self, caller: Caller, session_id: str, upload: Upload, time_epoch: str | None = None
+    ) -> TelemetrySession:
         """Return the session ``session_id`` with a further chunk."""
         with self._database.read() as session:
             row = SessionRepository(session, caller).get(session_id)
             magnetometer = SatelliteRepository(session, caller).magnetometer(row.satellite_id, row.magnetometer_id)
-        parsed = self._parsed(magnetometer, upload, may_be_empty=False)
+        parsed = self._parsed(magnetometer, upload, time_epoch, may_be_empty=False)
         return retried(lambda: self._add(caller, session_id, parsed))
 
     def _add(self, caller: Caller, session_id: str, parsed: Parsed | None) -> TelemetrySession:
@@ -171,6 +196,38 @@ class Ingest:
             session.refresh(row, with_for_update=True)
             if parsed is not None:
                 sessions.append(row, parsed, self._store)
+            return row
+
+    def read_again(self, caller: Caller, session_id: str) -> TelemetrySession:
+        """Return the session ``session_id``, its bytes read anew as its magnetometer is read now."""
+        with self._database.read() as session:
+            sessions = SessionRepository(session, caller)
+            row = sessions.get(session_id)
+            if row.raw_removed_at is not None:
+                raise ExpiredError("the telemetry is past its satellite's retention and has been removed")
+            magnetometer = SatelliteRepository(session, caller).magnetometer(row.satellite_id, row.magnetometer_id)
+            sensor = SensorReading.of(magnetometer)
+            keys = [(chunk, raw_key(row.satellite_id, chunk.sha256)) for chunk in sessions.chunks(session_id)]
+            raw = [(chunk, self._store.get(session, key, chunk.sha256)) for chunk, key in keys]
+        anew = [
+            Parsed.of(
+                Upload(content, chunk.sha256, chunk.media_type),
+                (own := sensor.with_epoch_of(chunk.reading)).read(content, chunk.media_type, self._settings),
+                chunk.format,
+                self._store,
+                reading=own.to_dict(),
+            )
+            for chunk, content in raw
+        ]
+        return retried(lambda: self._replace(caller, session_id, anew))
+
+    def _replace(self, caller: Caller, session_id: str, anew: Sequence[Parsed]) -> TelemetrySession:
+        with self._database.write() as session:
+            sessions = SessionRepository(session, caller)
+            row = sessions.get(session_id)
+            hold_objects(session, [row.satellite_id])
+            session.refresh(row, with_for_update=True)
+            sessions.read_as(row, anew, self._store)
             return row
 
     def close(self, caller: Caller, session_id: str) -> Kept:
@@ -184,6 +241,7 @@ class Ingest:
             session.flush()
             satellites = SatelliteRepository(session, caller)
             magnetometer = satellites.magnetometer(row.satellite_id, row.magnetometer_id)
+            append(session, [_received(row)] if is_open else [])
             job_id = self._follow_policy(session, caller, magnetometer, row) if is_open else None
         if job_id is not None:
             self._queue.announce()
@@ -198,14 +256,30 @@ class Ingest:
             return None
         return sessions.find_content(asked.satellite_id, asked.query.magnetometer, asked.upload.sha256)
 
-    def _parsed(self, magnetometer: Magnetometer, upload: Upload, *, may_be_empty: bool) -> Parsed | None:
+    def _parsed(
+        self, magnetometer: Magnetometer, upload: Upload, time_epoch: str | None, *, may_be_empty: bool
+    ) -> Parsed | None:
         if may_be_empty and not upload.content:
             return None
         is_large = len(upload.content) > PACKED_BESIDE_BYTES
         packing = PACKERS.submit(self._store.pack, upload.content, upload.sha256) if is_large else None
-        telemetry = SensorReading.of(magnetometer).read(upload.content, upload.media_type, self._settings)
+        sensor = SensorReading.of(magnetometer)
+        sensor = sensor if time_epoch is None else replace(sensor, time_epoch=time_epoch)
+        telemetry = self._read(sensor, magnetometer, upload)
         form = format_of(upload.media_type) or format_of_bytes(decompress(upload.content))
-        return Parsed.of(upload, telemetry, form, self._store, None if packing is None else packing.result())
+        packed = None if packing is None else packing.result()
+        return Parsed.of(upload, telemetry, form, self._store, packed, reading=sensor.to_dict())
+
+    def _read(self, sensor: SensorReading, magnetometer: Magnetometer, upload: Upload) -> Telemetry:
+        """Return the telemetry of an upload; of times that cannot be read, the forms that suit the orbits are named."""
+        try:
+            return sensor.read(upload.content, upload.media_type, self._settings)
+        except TimeError:
+            with self._database.read() as session:
+                spans = spans_of(OrbitRepository(session, SYSTEM, magnetometer.satellite_id).instants())
+            if not spans:
+                raise
+            return sensor.read(upload.content, upload.media_type, self._settings, spans)
 
     def _follow_policy(
         self, session: Session, caller: Caller, magnetometer: Magnetometer, row: TelemetrySession
@@ -218,3 +292,14 @@ class Ingest:
         wanted = {"kind": "calibration", "session_ids": [row.id], "priority": policy.priority, **policy.options}
         body = CalibrationBody.model_validate(wanted)
         return JobRepository(session, caller).submit(body, self._queue).id
+
+
+def _received(row: TelemetrySession) -> Event:
+    return session_received(
+        session_id=row.id,
+        satellite_id=row.satellite_id,
+        magnetometer_id=row.magnetometer_id,
+        samples=row.samples,
+        data_from=row.data_from,
+        data_until=row.data_until,
+    )

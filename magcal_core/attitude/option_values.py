@@ -14,7 +14,7 @@ from magcal_core.errors import Fault, InputError
 from magcal_core.sensor.model import SensorModel
 
 if TYPE_CHECKING:
-    from magcal_core.attitude.options import RomOptions
+    from _typeshed import DataclassInstance
 
 Triple: TypeAlias = tuple[float, float, float]
 Value: TypeAlias = float | int | bool | str | tuple[float, ...] | SensorModel | None
@@ -53,7 +53,7 @@ class OptionReader:
     given: Mapping[str, object]
     faults: list[Fault]
 
-    def read(self, defaults: RomOptions) -> dict[str, Value]:
+    def read(self, defaults: DataclassInstance) -> dict[str, Value]:
         """Return a value for every option that is given."""
         values: dict[str, Value] = {}
         for name in (f.name for f in fields(defaults) if f.name in self.given):

@@ -14,6 +14,7 @@ from magcal_core.calibration.observability.information import Observability
 from magcal_core.calibration.reasons import Verdict
 from magcal_core.calibration.residuals import ResidualStatistics, ResidualTable
 from magcal_core.sensor.parameters import Parameters
+from magcal_core.units import utc_text
 
 if TYPE_CHECKING:
     from magcal_core.calibration.refit.moments import FitMoments
@@ -85,8 +86,3 @@ class Calibration:
             **self.extras,
             "provenance": {"orbits": [dict(orbit) for orbit in self.orbits], "options": dict(self.options)},
         }
-
-
-def utc_text(t_utc: np.datetime64) -> str:
-    """Return ``t_utc`` in ISO 8601 with ``Z`` and microseconds."""
-    return f"{np.datetime_as_string(t_utc, unit='us')}Z"

@@ -52,6 +52,15 @@ class StateTable:
             r_km[rows], v_km_s[rows] = _hermite(t_s, at_s, self.r_km[nodes], self.v_km_s[nodes])
         return r_km, v_km_s
 
+    def node_product(self, stamps_ns: Nanoseconds, count: int) -> Floats:
+        """Return the product of the distances to the ``count`` nodes about each time, shape (n,), s^count.
+
+        The error of a polynomial is this product times a derivative that it lacks.
+        """
+        _, t_s, at_s = self._stencil(stamps_ns, count)
+        product: Floats = np.abs(at_s[:, None] - t_s).prod(axis=1)
+        return product
+
     def _stencil(self, stamps_ns: Nanoseconds, count: int) -> tuple[NDArray[np.intp], Floats, Floats]:
         """Return the ``count`` nodes about each time, (n, count), their times and the times, s from the first."""
         after = np.searchsorted(self.stamps_ns, stamps_ns, side="right")

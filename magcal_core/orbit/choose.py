@@ -30,6 +30,15 @@ class BoundedOrbit(Protocol):
         ...
 
 
+@runtime_checkable
+class InterpolatedOrbit(Protocol):
+    """An orbit that is known at some points, and interpolated between them."""
+
+    def interpolation_error_km(self, t_utc: Times) -> NDArray[np.float64]:
+        """Return how far interpolation is off at the most about each time, km, shape (n,)."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Choice:
     """The orbit of every sample.

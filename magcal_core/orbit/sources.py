@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
 
-from magcal_core.errors import EncodingError, Fault, OrbitFormatError
+from magcal_core.errors import EncodingError, Fault, OrbitFormatError, TleFormatError
 from magcal_core.orbit import Orbit
+from magcal_core.orbit.messages.bulletin import tles_alone
+from magcal_core.orbit.messages.forms import form_of, refuse_binary, refuse_json_message
+from magcal_core.orbit.messages.json_tle import tle_text
 from magcal_core.orbit.messages.oem import parse_oem
 from magcal_core.orbit.messages.omm import Omm, parse_omms
+from magcal_core.orbit.messages.opm import parse_opms
+from magcal_core.orbit.messages.sp3 import parse_sp3
 from magcal_core.orbit.messages.state import StateVector, parse_state, state_from_mapping
+from magcal_core.orbit.messages.stk import parse_stk
 from magcal_core.orbit.messages.tle import Tle, parse_tles
 from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
 
@@ -27,9 +34,19 @@ _FORMS_OF_TYPE: Final[Mapping[str, tuple[str, ...]]] = {
     "application/xml": ("xml",),
     "text/xml": ("xml",),
     "text/csv": ("csv",),
-    "text/plain": ("tle", "omm-kvn", "oem-kvn", "csv"),
+    "text/plain": ("tle", "omm-kvn", "oem-kvn", "opm-kvn", "sp3", "stk", "csv"),
 }
 """Media type -> the forms that it may hold; other types hold any."""
+
+
+_PROSE: Final = (
+    "neither a line of a TLE",
+    "control character",
+    "name has ",
+    "line 1 of a TLE, but",
+    "line 2 of a TLE, but",
+)
+"""What `parse_tles` finds in text that stands around TLEs."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +83,10 @@ def parse_orbits(content: bytes | str, media_type: str | None = None) -> list[Or
 
 
 def parse_sources(content: bytes | str, media_type: str | None = None) -> list[OrbitSource]:
-    """Return every orbit in ``content``: TLEs, OMMs (JSON, XML, CSV, KVN), an OEM (KVN, XML), or state vectors (JSON).
+    """Return every orbit in ``content``.
+
+    TLEs (alone, inside JSON or with text around them), OMMs (JSON, XML, CSV, KVN), an OEM or OPMs (KVN, XML), SP3-c or
+    -d, an STK ephemeris, or state vectors (JSON); `magcal_core.orbit.messages.forms` tells them apart.
 
     Raises
     ------
@@ -82,7 +102,7 @@ def parse_sources(content: bytes | str, media_type: str | None = None) -> list[O
     if len(content) > MAX_BYTES:
         raise OrbitFormatError(f"the orbit text has {len(content)} bytes; at most {MAX_BYTES}")
     text = content if isinstance(content, str) else _decoded(content)
-    form = _form(text)
+    form = form_of(text)
     declared = (media_type or "").partition(";")[0].strip().lower()
     if form not in _FORMS_OF_TYPE.get(declared, (form,)):
         raise OrbitFormatError(f"the content is declared as {declared}, but it is {form}")
@@ -90,24 +110,11 @@ def parse_sources(content: bytes | str, media_type: str | None = None) -> list[O
 
 
 def _decoded(content: bytes) -> str:
+    refuse_binary(content)
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise EncodingError(f"the orbit text is not UTF-8 at byte {error.start}") from error
-
-
-def _form(text: str) -> str:
-    start = text.lstrip("\ufeff \t\r\n")[:200]
-    first_line = start.partition("\n")[0]
-    if start.startswith(("{", "[")):
-        return "json"
-    if start.startswith("<"):
-        return "xml"
-    if "CCSDS_OEM_VERS" in start:
-        return "oem-kvn"
-    if "CCSDS_OMM_VERS" in start:
-        return "omm-kvn"
-    return "csv" if "," in first_line and "OBJECT_" in first_line else "tle"
 
 
 def _of_json(text: str) -> list[OrbitSource]:
@@ -115,20 +122,52 @@ def _of_json(text: str) -> list[OrbitSource]:
         content = json.loads(text.removeprefix("\ufeff"))
     except (ValueError, RecursionError) as error:
         raise OrbitFormatError("the orbit is not JSON", [Fault("orbit", str(error)[:200])]) from error
+    refuse_json_message(content)
     rows = content if isinstance(content, list) else [content]
     if rows and all(isinstance(row, dict) and "position_km" in row for row in rows):
         return [_of_state(state_from_mapping(row)) for row in rows]
     if rows and all(isinstance(row, dict) and "MEAN_MOTION" in row for row in rows):
         return [_of_mean_elements("omm", omm) for omm in parse_omms(text.removeprefix("\ufeff"), "json")]
+    if tles := tle_text(content):
+        return _of_tle(tles)
     if isinstance(content, dict):
         return [_of_state(parse_state(text.removeprefix("\ufeff")))]
-    raise OrbitFormatError("JSON of an orbit is an OMM, a state vector, or a list of one of them")
+    raise OrbitFormatError("JSON of an orbit is an OMM, a TLE, a state vector, or a list of one of them")
 
 
 def _of_xml(text: str) -> list[OrbitSource]:
     if "<oem" in text[:4000].lower():
         return _of_oem(text)
+    if "<opm" in text[:4000].lower():
+        return _of_opm(text)
     return [_of_mean_elements("omm", omm) for omm in parse_omms(text, "xml")]
+
+
+def _of_tle(text: str) -> list[OrbitSource]:
+    try:
+        tles = parse_tles(text)
+    except TleFormatError as error:
+        # Only prose is passed over: a line of a TLE that is wrong stays a fault of the text.
+        lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+        if wrong := [fault for fault in error.faults if not _is_prose(fault, lines)]:
+            more = f" and {len(wrong) - 1} more" if len(wrong) > 1 else ""
+            raise type(error)(f"TLE {wrong[0].where}: {wrong[0].why}{more}", error.faults) from error
+        alone = tles_alone(text)
+        if not alone:
+            raise
+        tles = parse_tles(alone)
+    return [_of_mean_elements("tle", tle) for tle in tles]
+
+
+def _is_prose(fault: Fault, lines: Sequence[str]) -> bool:
+    """Return whether a fault is of a line that is no line of a TLE at all."""
+    place = re.match(r"line (\d+)", fault.where)
+    line = lines[int(place[1]) - 1] if place else ""
+    return fault.why.startswith(_PROSE) and re.match(r"\s*[12] +\w{5}[UCS ]? ", line) is None
+
+
+def _of_opm(text: str) -> list[OrbitSource]:
+    return [replace(_of_state(state), name=name, cospar_id=cospar_id) for state, name, cospar_id in parse_opms(text)]
 
 
 def _of_oem(text: str) -> list[OrbitSource]:
@@ -152,7 +191,10 @@ _READERS: Final[Mapping[str, Callable[[str], list[OrbitSource]]]] = {
     "json": _of_json,
     "xml": _of_xml,
     "csv": lambda text: [_of_mean_elements("omm", omm) for omm in parse_omms(text, "csv")],
-    "tle": lambda text: [_of_mean_elements("tle", tle) for tle in parse_tles(text)],
+    "tle": _of_tle,
     "omm-kvn": lambda text: [_of_mean_elements("omm", omm) for omm in parse_omms(text, "kvn")],
     "oem-kvn": _of_oem,
+    "opm-kvn": _of_opm,
+    "sp3": lambda text: _of_oem(parse_sp3(text)),
+    "stk": lambda text: _of_oem(parse_stk(text)),
 }

@@ -10,14 +10,26 @@ import numpy as np
 
 from magcal_core.arrays import Floats, Mask, Times
 from magcal_core.attitude.rotation import rotate_rows
-from magcal_core.errors import OrbitMissingError
+from magcal_core.errors import ModelRangeError, OrbitMissingError, TleEpochError
 from magcal_core.field import FieldModel
 from magcal_core.numerics.vectors import lengths
 from magcal_core.orbit import Orbit
-from magcal_core.orbit.choose import MAX_AGE_DAYS, NO_ORBIT, BoundedOrbit, check_age, choose_orbits
+from magcal_core.orbit.choose import (
+    MAX_AGE_DAYS,
+    NO_ORBIT,
+    BoundedOrbit,
+    Choice,
+    InterpolatedOrbit,
+    check_age,
+    choose_orbits,
+)
+from magcal_core.orbit.earth.eop import earth_orientation, ut1_prediction_error_s
 from magcal_core.orbit.earth.timescales import nanoseconds
+from magcal_core.orbit.messages.interpolation_check import BETTER_KM, REFUSED_KM
 from magcal_core.reference.field_along_orbit import Part, field_of_parts, positions_km
 from magcal_core.samples import SampleFlag, Samples
+from magcal_core.telemetry.iso_times import Spans
+from magcal_core.telemetry.time_guesses import on_distance, spans_of
 
 TELEMETRY_REFERENCE: Final = "telemetry-reference"
 TELEMETRY_POSITION: Final = "telemetry-position"
@@ -39,12 +51,15 @@ class ReferenceReport:
         Name of the field model; of no effect where the telemetry brought the field itself.
     warnings : tuple of str
         Codes and texts, such as ``tle_old: ...``.
+    interpolation_km : float
+        How far an ephemeris is off between its points at the most, km.
     """
 
     orbit_model: str
     orbits: tuple[Mapping[str, object], ...]
     field_model: str
     warnings: tuple[str, ...] = ()
+    interpolation_km: float = 0.0
 
 
 def with_reference(
@@ -111,9 +126,27 @@ def _from_orbits(
         raise OrbitMissingError(_not_covered(orbits, samples.t_utc))
     if gap := np.count_nonzero(~has_place):
         warnings.append(f"orbit_gap: no orbit covers {gap} of {len(samples)} samples")
-    report = ReferenceReport("+".join(sorted(models)), tuple(entries), field.name, tuple(warnings))
+    interpolation_km = _interpolation_km(t_true, parts)
+    warnings += _predicted_earth(t_true)
+    warnings += _off_between_points(interpolation_km)
+    report = ReferenceReport(
+        "+".join(sorted(models)), tuple(entries), field.name, tuple(warnings), float(interpolation_km)
+    )
     cleared = samples.flags & ~np.where(has_place, np.uint16(SampleFlag.NO_REFERENCE), np.uint16(0))
     return _with_field(replace(samples, flags=cleared), t_true, r_itrf_km, parts, field), report
+
+
+def _predicted_earth(t_utc: Times) -> list[str]:
+    """Return the warning that the Earth's orientation at some of the times is a prediction, where it is one."""
+    table = earth_orientation()
+    days = table.predicted_days(t_utc)
+    if days <= 0.0:
+        return []
+    last = np.datetime_as_string(table.predicted_from - np.timedelta64(1, "D"), unit="D")
+    return [
+        f"earth_orientation_predicted: UT1 and the pole are measured until {last} and predicted for up to {days:.0f} d "
+        f"beyond it, UT1 to {1e3 * ut1_prediction_error_s(days):.1f} ms; a newer astropy-iers-data reaches further"
+    ]
 
 
 def _places(
@@ -124,7 +157,7 @@ def _places(
     parts: list[Part] = []
     if samples.r_itrf_km is None:
         choice = choose_orbits(orbits, _deciding(t_true, orbits))
-        warnings = check_age(choice, orbits, max_age_days)
+        warnings = _checked_age(choice, orbits, samples.t_utc, max_age_days)
         alone = int(choice.index[0]) if len(samples) else NO_ORBIT
         if alone != NO_ORBIT and np.all(choice.index == alone):
             entries.append(_entry(alone, orbits[alone], choice.age_days, len(samples)))
@@ -139,13 +172,57 @@ def _places(
             parts.append(Part.of(None, np.flatnonzero(is_known)))
         rows = np.flatnonzero(~is_known)
         choice = choose_orbits(orbits, t_true[rows])
-        warnings = check_age(choice, orbits, max_age_days)
+        warnings = _checked_age(choice, orbits, samples.t_utc, max_age_days)
     for i, chosen in choice.by_orbit():
         part = Part.of(orbits[i], rows[chosen])
         r_itrf_km[part.rows] = positions_km(orbits[i], t_true[part.rows])
         parts.append(part)
         entries.append(_entry(i, orbits[i], choice.age_days[chosen], len(chosen)))
     return r_itrf_km, parts, warnings, entries
+
+
+def _checked_age(choice: Choice, orbits: Sequence[Orbit], t_utc: Times, max_age_days: float) -> list[str]:
+    """Return the warnings about old orbits; where one is refused, the form of time that would put the data near it."""
+    try:
+        return check_age(choice, orbits, max_age_days)
+    except TleEpochError as error:
+        raise TleEpochError(error.message + on_distance(t_utc[0], orbit_spans(orbits))) from error
+
+
+def orbit_spans(orbits: Sequence[Orbit]) -> Spans:
+    """Return where orbits are good: at their epochs, and where an ephemeris has positions."""
+    return spans_of([(orbit.epoch_utc, getattr(orbit, "until_utc", None)) for orbit in orbits])
+
+
+def _interpolation_km(t_true: Times, parts: Sequence[Part]) -> float:
+    """Return how far the ephemerides are off between their points at the times of the samples at the most, km."""
+    largest = 0.0
+    for part in parts:
+        orbit = part.orbit
+        if isinstance(orbit, InterpolatedOrbit):
+            largest = max(largest, float(orbit.interpolation_error_km(t_true[part.rows]).max(initial=0.0)))
+    return largest
+
+
+def _off_between_points(error_km: float) -> list[str]:
+    """Return the warning of an ephemeris that is off between its points.
+
+    Raises
+    ------
+    ModelRangeError
+        It is off by more than an orbit may be.
+    """
+    if error_km > REFUSED_KM:
+        raise ModelRangeError(
+            f"the ephemeris is {error_km:.2g} km off between its points at the times of the telemetry; "
+            f"limit {REFUSED_KM:g} km: send points closer together"
+        )
+    if error_km <= BETTER_KM:
+        return []
+    return [
+        f"orbit_interpolation: the ephemeris is up to {error_km:.2g} km off between its points, and its velocities do "
+        "not tell better; send points closer together"
+    ]
 
 
 def _deciding(t_utc: Times, orbits: Sequence[Orbit]) -> Times:
@@ -168,7 +245,8 @@ def _entry(index: int, orbit: Orbit, age_days: Floats, samples: int) -> Mapping[
 
 def _not_covered(orbits: Sequence[Orbit], t_utc: Times) -> str:
     first, last = (np.datetime_as_string(t, unit="s") for t in (t_utc.min(), t_utc.max()))
-    return f"none of the {len(orbits)} ephemerides covers the telemetry, {first}Z to {last}Z"
+    other_form = on_distance(t_utc.min(), orbit_spans(orbits))
+    return f"none of the {len(orbits)} ephemerides covers the telemetry, {first}Z to {last}Z{other_form}"
 
 
 def _with_field(samples: Samples, t_utc: Times, r_itrf_km: Floats, parts: Sequence[Part], field: FieldModel) -> Samples:

@@ -14,6 +14,7 @@ from magcal_core.constants import EARTH_RADIUS_MAGNETIC_KM, EARTH_ROTATION_RAD_S
 from magcal_core.errors import ModelRangeError
 from magcal_core.field import FieldModel
 from magcal_core.numerics.vectors import lengths
+from magcal_core.orbit.earth.eop import earth_orientation, ut1_prediction_error_s
 from magcal_core.samples import Samples
 
 EPOCH_ERROR_KM: Final = 0.64
@@ -41,6 +42,7 @@ EXTERNAL_COMPONENT_NT: Final = 35.0
 
 _PLACES: Final = 64
 _STEP_KM: Final = 5.0
+_TURN_RAD: Final = 1e-3
 _MOST_STEP: Final = np.timedelta64(300, "s")
 
 
@@ -68,6 +70,7 @@ class ReferenceSource:
     field : the model that the field was computed with.
     is_vector : whether components count, or |B| only.
     clock_error_s : standard error of an estimated clock offset, s; None where none was estimated.
+    interpolation_km : how far an ephemeris is off between its points at the most, km.
     """
 
     orbit_model: str
@@ -75,6 +78,7 @@ class ReferenceSource:
     field: FieldModel
     is_vector: bool = False
     clock_error_s: float | None = None
+    interpolation_km: float = 0.0
 
 
 def error_budget(
@@ -127,6 +131,13 @@ def _positional(samples: Samples, source: ReferenceSource) -> Iterator[BudgetIte
     yield BudgetItem(
         "orbit_along_track", found.along * along_km, f"{along_km:.2g} km ({how}) x {found.along:.2g} nT/km"
     )
+    if source.interpolation_km > 0.0:
+        every = float(np.sqrt((found.along**2 + found.radial**2 + found.across**2) / 3.0))
+        yield BudgetItem(
+            "orbit_interpolation",
+            every * source.interpolation_km / np.sqrt(2.0),
+            f"up to {source.interpolation_km:.2g} km between the points of the ephemeris x {every:.2g} nT/km",
+        )
     others = float(np.hypot(found.radial * radial_km, found.across * across_km))
     yield BudgetItem(
         "orbit_radial_and_cross_track",
@@ -139,6 +150,22 @@ def _positional(samples: Samples, source: ReferenceSource) -> Iterator[BudgetIte
         clock_s = source.clock_error_s if source.clock_error_s is not None else UNSEEN_CLOCK_S
         how = "standard error of the estimated offset" if is_known else "the largest offset that stays unseen"
         yield BudgetItem("clock", rate * clock_s, f"{clock_s:.2g} s ({how}) x {rate:.2g} nT/s")
+        yield from _earth_orientation(samples, source)
+
+
+def _earth_orientation(samples: Samples, source: ReferenceSource) -> Iterator[BudgetItem]:
+    """Yield what an error of predicted UT1 does, which turns the Earth under the orbit."""
+    days, places = earth_orientation().predicted_days(samples.t_utc), _places(samples)
+    if days <= 0.0 or places is None:
+        return
+    t_utc, r_km, _ = places
+    eastward_km = _TURN_RAD * np.cross([0.0, 0.0, 1.0], r_km)
+    ahead, behind = (source.field.field_itrf_nt(t_utc, r_km + sign * eastward_km) for sign in (1.0, -1.0))
+    per_rad = _difference_nt(ahead, behind, is_vector=source.is_vector) / (2.0 * _TURN_RAD)
+    error_s = ut1_prediction_error_s(days)
+    turn_rad = EARTH_ROTATION_RAD_S * error_s
+    why = f"UT1 predicted for {days:.0f} d, {1e3 * error_s:.1f} ms, {1e6 * turn_rad:.2g} urad of turn"
+    yield BudgetItem("earth_orientation", per_rad * turn_rad, why)
 
 
 def _gradients(samples: Samples, source: ReferenceSource) -> _Gradients | None:

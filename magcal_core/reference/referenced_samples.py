@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,6 @@ from magcal_core.errors import TooManyBadSamplesError
 from magcal_core.field import FieldModel
 from magcal_core.field.models import field_model
 from magcal_core.observations import Observations
-from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
 from magcal_core.reference.columns import TELEMETRY_POSITION, ReferenceReport, finite_rows, with_reference
 from magcal_core.reference.shifted_times import MovingReference
@@ -49,6 +48,30 @@ def in_time_order(samples: Samples) -> Samples:
     return ordered.flagged(SampleFlag.NOT_FINITE, is_bad)
 
 
+class ReferenceOptions(Protocol):
+    """What the options of a calibration say of the reference."""
+
+    @property
+    def field(self) -> str:
+        """Field model by name."""
+        ...
+
+    @property
+    def field_max_degree(self) -> int | None:
+        """Degree that the model is cut at, None for its own."""
+        ...
+
+    @property
+    def orbit(self) -> str:
+        """``sgp4`` as the elements are meant, or ``numerical``."""
+        ...
+
+    @property
+    def max_orbit_age_days(self) -> float:
+        """Orbits further from the data are refused, days."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Referenced:
     """Samples with their reference field.
@@ -69,7 +92,7 @@ class Referenced:
     field: FieldModel
 
     @classmethod
-    def of(cls, samples: Samples, orbits: Sequence[Orbit], options: CalibrationOptions) -> Referenced:
+    def of(cls, samples: Samples, orbits: Sequence[Orbit], options: ReferenceOptions) -> Referenced:
         """Return ``samples`` in time order with their reference.
 
         Raises

@@ -61,7 +61,7 @@ SESSIONS: Final = (
 @cache
 def tle_text() -> str:
     """Return the two TLEs of DEKART, one near each session."""
-    return resources.files("app.demo").joinpath("dekart.tle.txt").read_text(encoding="utf-8")
+    return resources.files("magcal_core.simulation").joinpath("dekart.tle.txt").read_text(encoding="utf-8")
 
 
 def tle_of(session: Pass) -> Tle:

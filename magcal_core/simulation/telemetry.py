@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats, Times
 from magcal_core.attitude.rotation import from_rotation_vector, multiply, rotate, unit
-from magcal_core.calibration.result import utc_text
 from magcal_core.errors import OptionError
 from magcal_core.field import FieldModel
 from magcal_core.orbit import Orbit
@@ -20,6 +19,7 @@ from magcal_core.samples import Samples
 from magcal_core.sensor.model import SensorModel
 from magcal_core.sensor.parameters import Parameters
 from magcal_core.simulation.tumbling import Tumbling
+from magcal_core.units import utc_text
 
 MAX_SAMPLES: Final = 20_000_000
 """Most samples of one simulation."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import BinaryIO, Final
 
@@ -14,10 +14,11 @@ from magcal_core.telemetry.assembly import Judgement as Judgement
 from magcal_core.telemetry.assembly import Telemetry as Telemetry
 from magcal_core.telemetry.assembly import assemble as assemble
 from magcal_core.telemetry.assembly import merge_samples as merge_samples
-from magcal_core.telemetry.columns import ColumnMap
+from magcal_core.telemetry.columns import ColumnMap, TableForm
 from magcal_core.telemetry.compression import MAX_DECOMPRESSED_BYTES, decompress
 from magcal_core.telemetry.csv_table import read_csv, write_csv
 from magcal_core.telemetry.export import samples_table
+from magcal_core.telemetry.iso_times import Spans
 from magcal_core.telemetry.json_columns import read_json_columns, write_json_columns
 from magcal_core.telemetry.ndjson import read_ndjson, write_ndjson
 from magcal_core.telemetry.parquet import read_parquet, write_parquet
@@ -25,6 +26,8 @@ from magcal_core.telemetry.quality import LEO_FIELD_NT, MAX_BAD_FRACTION, MAX_CO
 from magcal_core.telemetry.quality import Quality as Quality
 from magcal_core.telemetry.table import Reader
 from magcal_core.telemetry.text import MAX_ROWS
+from magcal_core.telemetry.time_forms import TimeForm
+from magcal_core.telemetry.validity import Validity
 
 READERS: Final[Mapping[str, Reader]] = {
     "csv": read_csv,
@@ -79,6 +82,8 @@ def format_of_bytes(data: bytes) -> str:
     if data.startswith(_PARQUET_MAGIC):
         return "parquet"
     head = data[: 1 << 16].removeprefix(b"\xef\xbb\xbf").lstrip()
+    if head.startswith(b"["):
+        return "json"
     if not head.startswith(b"{"):
         return "csv"
     colon = head.find(b":")
@@ -93,6 +98,13 @@ def read_telemetry(
     format: str | None = None,  # noqa: A002
     range_nt: float | None = None,
     time_scale: str = "utc",
+    nt_per_count: float | None = None,
+    time_format: str | None = None,
+    time_epoch: str | None = None,
+    fill_values: Sequence[float] = (),
+    validity_column: str | None = None,
+    valid_values: Sequence[str | float] = (),
+    orbit_spans: Spans = (),
     field_range_nt: tuple[float, float] | None = LEO_FIELD_NT,
     max_bad_fraction: float = MAX_BAD_FRACTION,
     max_conflict_fraction: float = MAX_CONFLICT_FRACTION,
@@ -108,13 +120,24 @@ def read_telemetry(
     columns : standard name -> the table's own name
         Columns that are not mapped bear their standard names.
     unit : str
-        Unit of the readings: nT, uT, mT, T, G, mG.
+        Unit of the readings: nT, uT, mT, T, G, mG, or counts with ``nt_per_count``.
     format : str, optional
         One of `READERS`; otherwise the file's ending tells it, or its beginning.
     range_nt : float, optional
         The magnetometer's range, nT: readings at or beyond it are flagged as saturated.
     time_scale : str
         ``utc``, or ``gps`` where the times are GPS time (numbers then count from 1980-01-06).
+    nt_per_count : float, optional
+        nT in one count, where the unit is counts.
+    time_format, time_epoch : str, optional
+        The form of the times where it is neither ISO 8601 with a zone nor seconds since 1970, and the instant that
+        ``boot`` counts from: see `magcal_core.telemetry.time_forms`.
+    fill_values : numbers
+        What this magnetometer sends for a missing reading, in its own unit.
+    validity_column, valid_values : str, values
+        The column that says which readings are good, and its values that do.
+    orbit_spans : pairs of instants
+        Where the orbits at hand are good: by them a message tells the form that times may have.
     field_range_nt : pair of floats, optional
         Bounds of |B|, nT, by which a wrong unit is told; None leaves the unit unchecked.
     max_bad_fraction, max_conflict_fraction : float
@@ -133,10 +156,16 @@ def read_telemetry(
     data = _read_bytes(source)
     body = decompress(data, max_bytes=max_decompressed_bytes)
     kind = _chosen_format(format, name if isinstance(name, str | Path) else None, body)
-    table = READERS[kind](body, columns, max_rows=max_rows)
+    form = TableForm(
+        TimeForm.of(time_format, time_epoch, orbit_spans), Validity.of(validity_column, list(valid_values))
+    )
+    table = READERS[kind](body, columns, max_rows=max_rows, form=form)
     if len(body) > _LARGE_BYTES:
         pa.default_memory_pool().release_unused()
-    judgement = Judgement(unit, range_nt, time_scale, field_range_nt, max_bad_fraction, max_conflict_fraction)
+    fills = tuple(float(fill) for fill in fill_values)
+    judgement = Judgement(
+        unit, range_nt, time_scale, field_range_nt, max_bad_fraction, max_conflict_fraction, nt_per_count, fills
+    )
     return assemble(table, judgement)
 
 
@@ -148,6 +177,13 @@ def read_samples(
     format: str | None = None,  # noqa: A002
     range_nt: float | None = None,
     time_scale: str = "utc",
+    nt_per_count: float | None = None,
+    time_format: str | None = None,
+    time_epoch: str | None = None,
+    fill_values: Sequence[float] = (),
+    validity_column: str | None = None,
+    valid_values: Sequence[str | float] = (),
+    orbit_spans: Spans = (),
     field_range_nt: tuple[float, float] | None = LEO_FIELD_NT,
     max_bad_fraction: float = MAX_BAD_FRACTION,
 ) -> Samples:
@@ -167,6 +203,13 @@ def read_samples(
         format=format,
         range_nt=range_nt,
         time_scale=time_scale,
+        nt_per_count=nt_per_count,
+        time_format=time_format,
+        time_epoch=time_epoch,
+        fill_values=fill_values,
+        validity_column=validity_column,
+        valid_values=valid_values,
+        orbit_spans=orbit_spans,
         field_range_nt=field_range_nt,
         max_bad_fraction=max_bad_fraction,
     ).samples

@@ -22,9 +22,10 @@ from magcal_core.telemetry.columns import (
     STANDARD,
 )
 from magcal_core.telemetry.faults import FaultList
+from magcal_core.telemetry.iso_times import NO_TIME
 from magcal_core.telemetry.quality import Quality
 from magcal_core.telemetry.table import RawTable
-from magcal_core.telemetry.times import NO_TIME, check_plausible, to_utc_ns
+from magcal_core.telemetry.times import check_plausible, to_utc_ns
 from magcal_core.units import nt_per
 
 
@@ -40,6 +41,8 @@ class Judgement:
     field_range_nt : bounds of |B|, nT, that tell a wrong unit; None leaves the unit unchecked.
     max_bad_fraction : share of samples without a reading or reference past which the table is refused.
     max_conflict_fraction : share of samples in conflict past which the table is refused.
+    nt_per_count : nT in one count, where the unit is ``counts``.
+    fill_values : numbers that this magnetometer sends for a missing reading, in its own unit.
     """
 
     unit: str = "nT"
@@ -48,6 +51,8 @@ class Judgement:
     field_range_nt: tuple[float, float] | None = quality.LEO_FIELD_NT
     max_bad_fraction: float = quality.MAX_BAD_FRACTION
     max_conflict_fraction: float = quality.MAX_CONFLICT_FRACTION
+    nt_per_count: float | None = None
+    fill_values: tuple[float, ...] = ()
 
 
 AS_SENT: Final = Judgement()
@@ -71,10 +76,11 @@ def assemble(table: RawTable, judgement: Judgement = AS_SENT) -> Telemetry:
     InputError
         A time is implausible, the unit is unknown or belied, or too many samples are flagged.
     """
-    factor = nt_per(judgement.unit)
+    factor = nt_per(judgement.unit, judgement.nt_per_count)
     t_ns, order, rows_out_of_order = _time_order(table, judgement.time_scale)
     without_time = len(table.t_ns) - len(t_ns)
     reading, is_complete = _stacked(table, READING, order)
+    is_complete = is_complete and not _leave_out(reading, table.is_valid, order, judgement.fill_values)
     flags = _flags(reading, is_complete, factor, judgement.range_nt)
     reference = {
         group: _optional(table, group, order) for group in (REFERENCE_BASE, REFERENCE_GCRF, REFERENCE_MAGNITUDE)
@@ -95,23 +101,24 @@ def assemble(table: RawTable, judgement: Judgement = AS_SENT) -> Telemetry:
         flags=flags,
     )
     samples = quality.flag_repeated_times(samples)
-    quality.check_bad_share(samples, without_time, judgement.max_bad_fraction)
+    quality.check_bad_share(samples, without_time + table.bad_rows, judgement.max_bad_fraction)
     quality.check_conflicts(samples, judgement.max_conflict_fraction)
     if judgement.field_range_nt is not None:
-        quality.check_units(samples, judgement.unit, judgement.field_range_nt)
+        quality.check_units(samples, judgement.unit, judgement.field_range_nt, judgement.nt_per_count)
     found = quality.report(
         samples,
         rows_without_time=without_time,
         rows_out_of_order=rows_out_of_order,
         quaternions_normalised=normalised,
         columns_ignored=table.ignored,
+        rows_unreadable=table.bad_rows,
     )
     return Telemetry(samples, found)
 
 
 def _time_order(table: RawTable, time_scale: str) -> tuple[NDArray[np.int64], NDArray[np.intp] | None, int]:
     """Return the times in order, the order (None where the rows stand in it), and the rows that were out of it."""
-    t_ns = to_utc_ns(table.t_ns, time_scale=time_scale, is_epoch=table.is_epoch)
+    t_ns = to_utc_ns(table.t_ns, time_scale=table.scale or time_scale, is_epoch=table.is_epoch)
     faults = FaultList("table")
     check_plausible(t_ns, faults)
     faults.raise_if_any()
@@ -141,6 +148,19 @@ def _stacked(table: RawTable, names: tuple[str, ...], order: NDArray[np.intp] | 
             stacked[rows, i] = np.where(missing, np.nan, column[rows]) if is_gap else column[rows]
             is_complete = is_complete and not is_gap
     return stacked, is_complete
+
+
+def _leave_out(
+    reading: Floats, is_valid: NDArray[np.bool_] | None, order: NDArray[np.intp] | None, fill_values: tuple[float, ...]
+) -> bool:
+    """Empty the readings that the table says are not valid or that have a fill value; return whether any are."""
+    left_out = np.zeros(len(reading), bool)
+    if is_valid is not None:
+        left_out |= ~(is_valid if order is None else is_valid[order])
+    for fill in fill_values:
+        left_out |= (reading == fill).any(axis=1)
+    reading[left_out] = np.nan
+    return bool(left_out.any())
 
 
 def _optional(table: RawTable, names: tuple[str, ...], order: NDArray[np.intp] | None) -> Floats | None:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-import difflib
+import json
 import unicodedata
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from magcal_core.errors import OptionError, TelemetryFormatError
-from magcal_core.telemetry.faults import FaultList
+from magcal_core.telemetry.column_suggestions import date_beside, suggested
+from magcal_core.telemetry.faults import FaultList, quoted
+from magcal_core.telemetry.time_forms import ISO, TimeColumns, TimeForm, time_columns
+from magcal_core.telemetry.validity import Validity
 
 TIME: Final = "time"
 READING: Final = ("bx", "by", "bz")
@@ -33,19 +36,43 @@ ColumnMap = Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True)
+class TableForm:
+    """What is declared of a table beside the names of its columns.
+
+    Attributes
+    ----------
+    times : how its times are written.
+    validity : the column that says which readings are good, None where there is none.
+    """
+
+    times: TimeForm = ISO
+    validity: Validity | None = None
+
+
+PLAIN: Final = TableForm()
+"""Nothing is declared."""
+
+
+@dataclass(frozen=True, slots=True)
 class ColumnPlan:
     """What is taken from a table.
 
     Attributes
     ----------
     names : own name -> name in magcal
-        The standard columns that the table has, ``time`` included.
+        The standard columns that the table has, ``time`` included: it is the name of every part of the time.
     housekeeping : own name -> name in magcal
         Every other column; it is kept where it turns out to be numeric.
+    times : TimeColumns
+        Where the times stand, and how they are written.
+    validity : Validity, optional
+        The column that says which readings are good.
     """
 
     names: Mapping[str, str]
     housekeeping: Mapping[str, str]
+    times: TimeColumns = field(default_factory=lambda: TimeColumns(ISO, {TIME: TIME}))
+    validity: Validity | None = None
 
     @property
     def time(self) -> str:
@@ -82,7 +109,9 @@ def checked_map(columns: ColumnMap | None) -> dict[str, str]:
     return owners
 
 
-def plan_columns(header: Sequence[str], columns: ColumnMap | None, *, table: str) -> ColumnPlan:
+def plan_columns(
+    header: Sequence[str], columns: ColumnMap | None, *, table: str, form: TableForm = PLAIN
+) -> ColumnPlan:
     """Return what to take from a table with this ``header``, whose names are stripped.
 
     Raises
@@ -98,13 +127,23 @@ def plan_columns(header: Sequence[str], columns: ColumnMap | None, *, table: str
     faults = FaultList(table)
     _check_names(header, faults)
     present = {name for name in header if name}
-    names = {own: name for name, own in own_names(mapped).items() if own in present and _is_free(name, own, mapped)}
-    _check_missing(names, mapped, present, faults)
+    times = time_columns(form.times, mapped)
+    names = {own: TIME for own in times.own.values() if own in present}
+    names |= {
+        own: name
+        for name, own in own_names(mapped).items()
+        if name != TIME and own in present and own not in names and _is_free(name, own, mapped)
+    }
+    validity = form.validity
+    if validity is not None and validity.column not in present:
+        faults.add(TelemetryFormatError, f"column {validity.column}", "missing: it is to say which readings are valid")
+    _check_missing(names, times, mapped, header, faults)
     faults.raise_if_any()
     renamed = {own: name for name, own in mapped.items() if name not in STANDARD}
-    rest = [own for own in header if own and own not in names and own != RESERVED]
+    aside = {RESERVED, "" if validity is None else validity.column}
+    rest = [own for own in header if own and own not in names and own not in aside]
     housekeeping = {own: renamed.get(own, own) for own in rest if renamed.get(own, own) not in STANDARD}
-    return ColumnPlan(names, housekeeping)
+    return ColumnPlan(names, housekeeping, times, validity)
 
 
 def normal_header(header: Sequence[str]) -> list[str]:
@@ -131,22 +170,37 @@ def _check_names(header: Sequence[str], faults: FaultList) -> None:
             faults.add(TelemetryFormatError, f"column {name!r}", "control character in the name")
 
 
-def _check_missing(names: Mapping[str, str], mapped: ColumnMap, present: set[str], faults: FaultList) -> None:
+def _check_missing(
+    names: Mapping[str, str], times: TimeColumns, mapped: ColumnMap, header: Sequence[str], faults: FaultList
+) -> None:
+    present = {name for name in header if name}
     found = set(names.values())
     groups_begun = {name for group in GROUPS if found & set(group) for name in group}
     extra = [name for name in mapped if name not in STANDARD]
+    near: dict[str, str] = {}
+    missing = [own for own in times.own.values() if own not in present] if len(times.own) > 1 else []
+    for own in missing:
+        faults.add(TelemetryFormatError, f"column {own}", f"missing: the times are {times.words}")
     for name in (*STANDARD, *extra):
-        own = mapped.get(name, name)
+        own = times.own.get(TIME, TIME) if name == TIME else mapped.get(name, name)
         is_needed = name in (TIME, *READING) or name in mapped or name in groups_begun
         is_found = name in found if name in STANDARD else own in present
         if is_needed and not is_found:
             alias = "" if own == name else f" (mapped to {own!r})"
-            faults.add(TelemetryFormatError, f"column {name}{alias}", f"missing{_hint(own, present, found)}")
+            close = suggested(name, own, header, names)
+            near |= {} if close is None else {name: close}
+            near |= date_beside(close, header) if name == TIME and close is not None else {}
+            missing.append(own)
+            faults.add(TelemetryFormatError, f"column {name}{alias}", f"missing{_hint(close, header)}")
+    if missing and header:
+        is_plain = all(own.isprintable() for own in near.values())
+        told = f"the column map {json.dumps(near, ensure_ascii=not is_plain)}" if near else "the column map"
+        faults.advise(f"name the columns of the table with {told} (--columns, or the columns of the magnetometer)")
 
 
-def _hint(own: str, present: set[str], found: set[str]) -> str:
-    close = difflib.get_close_matches(own, sorted(present - found), n=1)
-    if close:
-        return f"; did you mean {close[0]!r}?"
-    shown = ", ".join(sorted(present)[:12])
+def _hint(close: str | None, header: Sequence[str]) -> str:
+    if close is not None:
+        return f"; did you mean {quoted(close)}?"
+    present = sorted({name for name in header if name})
+    shown = ", ".join(present[:12])
     return f"; the table has: {shown}{', ...' if len(present) > 12 else ''}" if present else ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -12,23 +13,38 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 
 from magcal_core.arrays import Floats
-from magcal_core.errors import TelemetryFormatError, TelemetryValueError
+from magcal_core.errors import InputError, TelemetryFormatError, TelemetryValueError
 from magcal_core.telemetry import yamcs
-from magcal_core.telemetry.columns import STANDARD, ColumnMap, ColumnPlan, normal_header, plan_columns
+from magcal_core.telemetry.columns import (
+    PLAIN,
+    STANDARD,
+    TIME,
+    ColumnMap,
+    ColumnPlan,
+    TableForm,
+    normal_header,
+    plan_columns,
+)
+from magcal_core.telemetry.csv_layout import Layout, find_layout
+from magcal_core.telemetry.declared_times import declared_times
 from magcal_core.telemetry.export import is_text, iso_texts
 from magcal_core.telemetry.faults import FaultList
+from magcal_core.telemetry.iso_times import is_number
+from magcal_core.telemetry.long_table import LongColumns, long_columns, long_to_raw
 from magcal_core.telemetry.table import EMPTY_CELLS, RawTable, from_arrow
 from magcal_core.telemetry.text import MAX_ROWS, check_lines, checked_text
-from magcal_core.telemetry.times import is_number, parse_times
+from magcal_core.telemetry.time_forms import is_time_key
+from magcal_core.telemetry.times import parse_times
 
 TABLE: Final = "CSV table"
-SEPARATORS: Final = ",;\t"
 _BLOCK_BYTES: Final = 1 << 20
 _NOT_FINITE: Final = ("nan", "inf", "infinity")
 _FORMULA: Final = ("=", "+", "-", "@", "\t", "\r")
 
 
-def read_csv(data: bytes, columns: ColumnMap | None = None, *, max_rows: int = MAX_ROWS) -> RawTable:
+def read_csv(
+    data: bytes, columns: ColumnMap | None = None, *, max_rows: int = MAX_ROWS, form: TableForm = PLAIN
+) -> RawTable:
     """Return the table in ``data``: UTF-8 text with a header row.
 
     Raises
@@ -38,70 +54,109 @@ def read_csv(data: bytes, columns: ColumnMap | None = None, *, max_rows: int = M
     """
     text = checked_text(data)
     check_lines(text, max_rows=max_rows)
-    start, header_line, lines_above = _find_header(text)
-    separator = _separator(header_line)
-    header = normal_header(_split(header_line, separator))
-    is_yamcs = yamcs.is_export(header)
-    plan = plan_columns(header, yamcs.column_map(header, columns) if is_yamcs else columns, table=TABLE)
-    body = memoryview(text)[start:]
-    if not text[start : start + 4096].strip() and not text[start:].strip():
+    layout = find_layout(text)
+    header = normal_header(layout.header)
+    if not text[layout.start : layout.start + 4096].strip() and not text[layout.start :].strip():
         raise TelemetryFormatError("the CSV table has a header and no rows")
-    table = _read_fast(body, header, separator, plan)
-    if table is None:
-        raw = _read_slowly(text[start:], header, separator, plan, first_line=lines_above + 2)
-    else:
-        raw = from_arrow(table, plan, name=TABLE)
+    if (long := long_columns(header, columns)) is not None:
+        table, bad_rows = _long_rows(text, layout, header, long)
+        return replace(long_to_raw(table, long, columns, form, name=f"long {TABLE}"), bad_rows=bad_rows)
+    is_yamcs = yamcs.is_export(header)
+    named = yamcs.column_map(header, columns) if is_yamcs else _timed(layout, columns, form)
+    raw = _read_wide(text, layout, header, plan_columns(header, named, table=TABLE, form=form))
     return yamcs.at_readings(raw) if is_yamcs else raw
 
 
-def _find_header(text: bytes) -> tuple[int, str, int]:
-    """Return where the rows begin, the header line, and the number of lines above it: blank ones and # comments."""
-    at, above = 0, 0
-    while at < len(text):
-        newline = text.find(b"\n", at)
-        end = text.find(b"\r", at, None if newline < 0 else newline)
-        end = end if end >= 0 else newline if newline >= 0 else len(text)
-        line = text[at:end].decode("utf-8").strip("\ufeff")
-        at = end + (2 if text[end : end + 2] == b"\r\n" else 1)
-        if line.strip() and not line.startswith("#"):
-            return min(at, len(text)), line, above
-        above += 1
-    raise TelemetryFormatError("the CSV table is empty: no header row")
+def _timed(layout: Layout, columns: ColumnMap | None, form: TableForm) -> ColumnMap | None:
+    """Return the column map with the time that the header itself tells."""
+    if layout.time is None or form.times.name or any(is_time_key(key) for key in columns or {}):
+        return columns
+    return {TIME: layout.time, **(columns or {})}
 
 
-def _separator(header_line: str) -> str:
-    return max(SEPARATORS, key=header_line.count)
+def _read_wide(text: bytes, layout: Layout, header: list[str], plan: ColumnPlan) -> RawTable:
+    body = memoryview(text)[layout.start :]
+    table, bad_rows = _read_fast(body, header, layout, plan), 0
+    if table is None:
+        cleaned, bad_rows = _without_bad_rows(text[layout.start :], layout, len(header))
+        table = _read_fast(memoryview(cleaned), header, layout, plan) if bad_rows else None
+    if table is not None and not plan.times.is_declared:
+        raw = from_arrow(table, plan, name=TABLE)
+    elif table is not None:
+        try:
+            raw = from_arrow(table, plan, name=TABLE)
+        except InputError:
+            # The rows of the fast pass have no numbers of lines: the slow one names each fault by its own.
+            return _read_slowly(text[layout.start :], header, layout, plan)
+    else:
+        return _read_slowly(text[layout.start :], header, layout, plan)
+    numbers = {name: _without_fill(column, layout.fills.get(own)) for own, name, column in _owned(raw, plan)}
+    return replace(raw, numbers=numbers, bad_rows=bad_rows)
 
 
-def _split(line: str, separator: str) -> list[str]:
-    try:
-        return next(csv.reader([line], delimiter=separator, strict=True, skipinitialspace=separator != "\t"), [])
-    except csv.Error as error:
-        raise TelemetryFormatError(f"line {line[:40]!r}: {error}") from error
+def _owned(raw: RawTable, plan: ColumnPlan) -> Iterator[tuple[str, str, Floats]]:
+    own = {name: own for own, name in {**plan.housekeeping, **plan.numbers}.items()}
+    return ((own[name], name, column) for name, column in raw.numbers.items())
 
 
-def _read_fast(body: memoryview, header: list[str], separator: str, plan: ColumnPlan) -> pa.Table | None:
+def _without_fill(column: Floats, fill: float | None) -> Floats:
+    return column if fill is None else np.where(column == fill, np.nan, column)
+
+
+def _long_rows(text: bytes, layout: Layout, header: list[str], long: LongColumns) -> tuple[pa.Table, int]:
+    """Return the three columns of a long table as text, and how many rows are none."""
+    types = dict.fromkeys((long.time, long.parameter, long.value), pa.string())
+    body, bad_rows = text[layout.start :], 0
+    table = _arrow_rows(memoryview(body), header, layout, types)
+    if table is None:
+        body, bad_rows = _without_bad_rows(body, layout, len(header))
+        table = _arrow_rows(memoryview(body), header, layout, types)
+    if table is None:
+        faults = FaultList(f"long {TABLE}")
+        _rows(text[layout.start :].decode("utf-8"), header, layout, faults)
+        faults.raise_if_any()
+        raise TelemetryFormatError(f"the long {TABLE} has rows that cannot be parted into cells")
+    return table, bad_rows
+
+
+def _read_fast(body: memoryview, header: list[str], layout: Layout, plan: ColumnPlan) -> pa.Table | None:
     """Return the rows as Arrow parses them, columns under their own names; None where it finds a fault."""
+    validity = None if plan.validity is None else plan.validity.column
+    wanted = [own for own in header if own in plan.names or own in plan.housekeeping or own == validity]
+    types: dict[str, pa.DataType | None] = dict.fromkeys(wanted)
+    types |= dict.fromkeys(plan.numbers, pa.float64())
+    if validity is not None:
+        types[validity] = pa.string()
+    if plan.times.is_declared:
+        types |= dict.fromkeys(plan.times.own.values(), pa.string())
+    else:
+        is_epoch = _has_epoch_times(body, layout.separator, header.index(plan.time))
+        types[plan.time] = pa.float64() if is_epoch else pa.timestamp("ns", "UTC")
+    return _arrow_rows(body, header, layout, types)
+
+
+def _arrow_rows(
+    body: memoryview, header: list[str], layout: Layout, types: Mapping[str, pa.DataType | None]
+) -> pa.Table | None:
+    """Return the columns in ``types`` under their own names; those of type None have what Arrow finds in them."""
     keys = [str(i) for i in range(len(header))]
-    wanted = {key: own for key, own in zip(keys, header, strict=True) if own in plan.names or own in plan.housekeeping}
-    time_key = keys[header.index(plan.time)]
-    numbers = {key: pa.float64() for key, own in wanted.items() if own in plan.numbers}
-    time_type = pa.float64() if _has_epoch_times(body, separator, int(time_key)) else pa.timestamp("ns", "UTC")
+    own = {key: name for key, name in zip(keys, header, strict=True) if name in types}
     try:
         table = pacsv.read_csv(
             pa.BufferReader(pa.py_buffer(body)),
             read_options=pacsv.ReadOptions(column_names=keys, block_size=_BLOCK_BYTES),
-            parse_options=pacsv.ParseOptions(delimiter=separator),
+            parse_options=pacsv.ParseOptions(delimiter=layout.separator),
             convert_options=pacsv.ConvertOptions(
-                column_types={time_key: time_type, **numbers},
-                include_columns=list(wanted),
+                column_types={key: types[name] for key, name in own.items() if types[name] is not None},
+                include_columns=list(own),
                 null_values=list(EMPTY_CELLS),
                 strings_can_be_null=True,
+                decimal_point=layout.decimal,
             ),
         )
     except pa.ArrowInvalid:
         return None
-    return table.rename_columns(list(wanted.values()))
+    return table.rename_columns(list(own.values()))
 
 
 def _has_epoch_times(body: memoryview, separator: str, column: int) -> bool:
@@ -110,42 +165,97 @@ def _has_epoch_times(body: memoryview, separator: str, column: int) -> bool:
         cells = line.decode("utf-8", "replace").rstrip("\r\n").split(separator)
         cell = cells[column].strip(' "') if column < len(cells) else ""
         if cell and cell not in EMPTY_CELLS:
-            return is_number(cell)
+            return is_number(cell) or (separator != "," and is_number(cell.replace(",", ".")))
     return False
 
 
-def _read_slowly(body: bytes, header: list[str], separator: str, plan: ColumnPlan, *, first_line: int) -> RawTable:
+def _without_bad_rows(body: bytes, layout: Layout, width: int) -> tuple[bytes, int]:
+    """Return the rows without headers among them and without a last row that is cut, and how many went."""
+    bad, kept = 0, body
+    header = layout.header_line.strip().encode()
+    if header and header in body:
+        lines = body.splitlines(keepends=True)
+        rows = [line for line in lines if not _is_header(line, header)]
+        kept, bad = b"".join(rows), len(lines) - len(rows)
+    last = kept.rstrip(b"\r\n")
+    at = max(last.rfind(b"\n"), last.rfind(b"\r")) + 1
+    if at and _is_cut(last[at:].decode("utf-8"), layout.separator, width):
+        kept, bad = kept[:at], bad + 1
+    return kept, bad
+
+
+def _is_header(line: bytes, header: bytes) -> bool:
+    return line.strip().lstrip(b"# \t\xef\xbb\xbf") == header
+
+
+def _is_cut(line: str, separator: str, width: int) -> bool:
+    """Return whether a last line ends before its last cell begins."""
+    return line.count(separator) + 1 < width
+
+
+def _read_slowly(body: bytes, header: list[str], layout: Layout, plan: ColumnPlan) -> RawTable:
     """Return the rows, read one by one; raise with every fault among them."""
     faults = FaultList(TABLE)
-    rows = list(_rows(body.decode("utf-8"), len(header), separator, first_line, faults))
+    rows, bad_rows = _rows(body.decode("utf-8"), header, layout, faults)
     place = {own: i for i, own in enumerate(header)}
-    time_at = place[plan.time]
-    cells = [(f"line {line}, column {plan.time}", _cell(row[time_at])) for line, row in rows]
-    is_epoch = is_number(next((text for _, text in cells if text), ""))
-    t_ns = parse_times(cells, faults)
+    is_epoch, scale = False, None
+    if plan.times.is_declared:
+        parts = {part: _texts([row[place[own]] for _, row in rows]) for part, own in plan.times.own.items()}
+        t_ns, scale = declared_times(plan.times, parts, lambda i: f"line {rows[i][0]}, column {plan.time}", faults)
+    else:
+        cells = [(f"line {line}, column {plan.time}", _cell(row[place[plan.time]])) for line, row in rows]
+        if layout.separator != ",":
+            cells = [(where, text and _pointed(text)) for where, text in cells]
+        is_epoch = is_number(next((text for _, text in cells if text), ""))
+        t_ns = parse_times(cells, faults, plan.times.form.spans)
     numbers: dict[str, Floats] = {}
     for own, name in plan.numbers.items():
-        numbers[name] = _numbers([(line, row[place[own]]) for line, row in rows], own, faults)
+        column = _numbers([(line, row[place[own]]) for line, row in rows], own, faults, layout)
+        numbers[name] = _without_fill(column, layout.fills.get(own))
     faults.raise_if_any()
-    kept, ignored = _housekeeping(rows, plan.housekeeping, place)
-    return RawTable(t_ns, is_epoch, numbers | kept, ignored)
+    kept, ignored = _housekeeping(rows, plan.housekeeping, place, layout)
+    good = (
+        None if plan.validity is None else plan.validity.is_good([row[place[plan.validity.column]] for _, row in rows])
+    )
+    return RawTable(t_ns, is_epoch, numbers | kept, ignored, scale, good, bad_rows)
 
 
-def _rows(text: str, width: int, separator: str, first_line: int, faults: FaultList) -> Iterator[tuple[int, list[str]]]:
-    """Yield line number and cells of every row of the right width."""
-    for line_number, line in enumerate(io.StringIO(text, newline=None), first_line):
-        if not line.strip("\r\n"):
-            continue
+def _texts(cells: list[str]) -> pa.ChunkedArray:
+    return pa.chunked_array([pa.array([_cell(cell) for cell in cells], pa.string())])
+
+
+def _pointed(text: str) -> str:
+    """Return a number with a decimal comma with a point, other text as it is."""
+    return text.replace(",", ".") if is_number(text.replace(",", ".")) else text
+
+
+def _rows(text: str, header: list[str], layout: Layout, faults: FaultList) -> tuple[list[tuple[int, list[str]]], int]:
+    """Return line number and cells of every row of the right width, and how many lines are bad rows.
+
+    A header that stands there once more, and a last line that ends early, are bad rows rather than faults.
+    """
+    lines = [
+        (i, line) for i, line in enumerate(io.StringIO(text, newline=None), layout.first_line) if line.strip("\r\n")
+    ]
+    rows: list[tuple[int, list[str]]] = []
+    bad_rows, names = 0, layout.header_line.strip().encode()
+    for line_number, line in lines:
         where = f"line {line_number}"
+        if names and _is_header(line.encode(), names):
+            bad_rows += 1
+            continue
         try:
-            row = next(csv.reader([line.rstrip("\r\n")], delimiter=separator, strict=True))
+            row = next(csv.reader([line.rstrip("\r\n")], delimiter=layout.separator, strict=True))
         except csv.Error as error:
             faults.add(TelemetryFormatError, where, f"broken quoting: {error}")
             continue
-        if len(row) == width:
-            yield line_number, row
+        if len(row) == len(header):
+            rows.append((line_number, row))
+        elif len(row) < len(header) and rows and line_number == lines[-1][0]:
+            bad_rows += 1
         else:
-            faults.add(TelemetryFormatError, where, f"{len(row)} cells, the header has {width}")
+            faults.add(TelemetryFormatError, where, f"{len(row)} cells, the header has {len(header)}")
+    return rows, bad_rows
 
 
 def _cell(text: str) -> str | None:
@@ -157,20 +267,21 @@ def _is_not_finite(text: str) -> bool:
     return text.lower().lstrip("+-") in _NOT_FINITE
 
 
-def _number(text: str) -> float | None:
+def _number(text: str, layout: Layout) -> float | None:
     """Return the number in a cell, NaN for an empty one, None for anything else."""
     stripped = text.strip()
     if stripped in EMPTY_CELLS:
         return float("nan")
-    if is_number(stripped) or _is_not_finite(stripped):
-        return float(stripped)
+    plain = stripped if layout.separator == "," else _pointed(stripped)
+    if is_number(plain) or _is_not_finite(plain):
+        return float(plain)
     return None
 
 
-def _numbers(cells: list[tuple[int, str]], own: str, faults: FaultList) -> Floats:
+def _numbers(cells: list[tuple[int, str]], own: str, faults: FaultList, layout: Layout) -> Floats:
     values = np.full(len(cells), np.nan)
     for i, (line, text) in enumerate(cells):
-        value = _number(text)
+        value = _number(text, layout)
         if value is None:
             faults.add(TelemetryValueError, f"line {line}, column {own}", "not a number", text)
         else:
@@ -179,13 +290,13 @@ def _numbers(cells: list[tuple[int, str]], own: str, faults: FaultList) -> Float
 
 
 def _housekeeping(
-    rows: list[tuple[int, list[str]]], housekeeping: Mapping[str, str], place: Mapping[str, int]
+    rows: list[tuple[int, list[str]]], housekeeping: Mapping[str, str], place: Mapping[str, int], layout: Layout
 ) -> tuple[dict[str, Floats], tuple[str, ...]]:
     """Return the numeric columns among the rest, and the names of those that are not."""
     kept: dict[str, Floats] = {}
     ignored = []
     for own, name in housekeeping.items():
-        values = [_number(row[place[own]]) for _, row in rows]
+        values = [_number(row[place[own]], layout) for _, row in rows]
         column = np.array([np.nan if value is None else value for value in values])
         if None in values or np.isnan(column).all():
             ignored.append(own)

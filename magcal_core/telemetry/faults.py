@@ -18,6 +18,8 @@ FIRST_FAULTS: Final = 100
 """Faults that an error carries; the rest is counted."""
 SHOWN_VALUE: Final = 60
 """Characters of a wrong value that a fault keeps."""
+SHOWN_IN_MESSAGE: Final = 40
+"""Characters of a wrong value that the message of an error repeats."""
 _ROW: Final = re.compile(r"(?:line|row) (\d+)")
 
 _GRAVEST_FIRST: Final[tuple[type[InputError], ...]] = (
@@ -34,6 +36,7 @@ class FaultList:
     def __init__(self, table: str) -> None:
         self.table = table
         self.count = 0
+        self.advice = ""
         self._of_column: dict[str, list[Fault]] = {}
         self._kinds: set[type[InputError]] = set()
 
@@ -44,10 +47,15 @@ class FaultList:
         """
         self.count += 1
         self._kinds.add(kind)
+        where, why = printable(where), printable(why)
         noted = self._of_column.setdefault(where.partition(", ")[2], [])
         if len(noted) < FIRST_FAULTS:
             shown = None if value is None else str(value)[:SHOWN_VALUE]
             noted.append(Fault(where, why, shown))
+
+    def advise(self, advice: str) -> None:
+        """Say at the end of the message what the user can do; the first advice stands."""
+        self.advice = self.advice or advice
 
     @property
     def first(self) -> list[Fault]:
@@ -69,8 +77,19 @@ class FaultList:
         noun = "fault" if self.count == 1 else "faults"
         more = "" if self.count <= FIRST_FAULTS else f", the first {FIRST_FAULTS} listed"
         first = self.first
-        message = f"{self.count} {noun} in the {self.table}{more}; first: {first[0].where}: {first[0].why}"
-        raise kind(message, first)
+        value = "" if first[0].value is None else f": {quoted(first[0].value)}"
+        message = f"{self.count} {noun} in the {self.table}{more}; first: {first[0].where}: {first[0].why}{value}"
+        raise kind(message + (f"; {self.advice}" if self.advice else ""), first)
+
+
+def printable(text: str) -> str:
+    """Return a text without characters that a terminal would act upon: these are escaped."""
+    return text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
+def quoted(value: str) -> str:
+    """Return a value as messages have it: cut, in quotes, with everything escaped that does not print."""
+    return repr(value if len(value) <= SHOWN_IN_MESSAGE else f"{value[:SHOWN_IN_MESSAGE]}...")
 
 
 def _row(fault: Fault) -> int:

@@ -12,9 +12,12 @@ import pyarrow as pa
 
 from magcal_core.arrays import Floats, Nanoseconds
 from magcal_core.errors import TelemetryFormatError, TelemetryValueError, TimeError
+from magcal_core.telemetry.arrow_numbers import floats_of
 from magcal_core.telemetry.columns import ColumnPlan
+from magcal_core.telemetry.declared_times import declared_times
 from magcal_core.telemetry.faults import FaultList
-from magcal_core.telemetry.table import RawTable, floats_of
+from magcal_core.telemetry.iso_times import Spans
+from magcal_core.telemetry.table import RawTable
 from magcal_core.telemetry.times import epoch_ns, parse_times
 
 Cells = Sequence[object]
@@ -74,7 +77,12 @@ def to_raw_table(columns: Mapping[str, Cells], plan: ColumnPlan, *, row_word: st
         With every fault.
     """
     faults = FaultList(table)
-    t_ns, is_epoch = _times(columns[plan.time], plan.time, row_word, faults)
+    is_epoch, scale = False, None
+    if plan.times.is_declared:
+        parts = {part: _as_text(columns[own]) for part, own in plan.times.own.items()}
+        t_ns, scale = declared_times(plan.times, parts, lambda i: f"{row_word} {i + 1}, column {plan.time}", faults)
+    else:
+        t_ns, is_epoch = _times(columns[plan.time], plan.time, row_word, faults, plan.times.form.spans)
     numbers: dict[str, Floats] = {}
     for own, name in plan.numbers.items():
         numbers[name] = _numbers(columns[own], own, row_word, faults)
@@ -87,7 +95,12 @@ def to_raw_table(columns: Mapping[str, Cells], plan: ColumnPlan, *, row_word: st
             ignored.append(own)
         else:
             numbers[name] = values
-    return RawTable(t_ns, is_epoch, numbers, tuple(ignored))
+    good = None if plan.validity is None else plan.validity.is_good(columns[plan.validity.column])
+    return RawTable(t_ns, is_epoch, numbers, tuple(ignored), scale, good)
+
+
+def _as_text(cells: Cells) -> pa.ChunkedArray:
+    return pa.chunked_array([pa.array([None if cell is None else str(cell) for cell in cells], pa.string())])
 
 
 def _is_number(value: object) -> bool:
@@ -116,7 +129,7 @@ def _bounded(number: float) -> float:
         return math.inf
 
 
-def _times(cells: Cells, own: str, row_word: str, faults: FaultList) -> tuple[Nanoseconds, bool]:
+def _times(cells: Cells, own: str, row_word: str, faults: FaultList, spans: Spans) -> tuple[Nanoseconds, bool]:
     first = next((cell for cell in cells if cell is not None), "")
     if _is_number(first):
         seconds = np.full(len(cells), np.nan)
@@ -126,7 +139,7 @@ def _times(cells: Cells, own: str, row_word: str, faults: FaultList) -> tuple[Na
             elif cell is not None:
                 why = f"{_kind(cell)} in a column of epoch seconds"
                 faults.add(TimeError, f"{row_word} {i + 1}, column {own}", why, cell)
-        return epoch_ns(seconds), True
+        return epoch_ns(seconds, spans), True
     texts: list[tuple[str, str | None]] = []
     for i, cell in enumerate(cells):
         where = f"{row_word} {i + 1}, column {own}"
@@ -134,7 +147,7 @@ def _times(cells: Cells, own: str, row_word: str, faults: FaultList) -> tuple[Na
         if cell is not None and not is_text:
             faults.add(TimeError, where, f"{_kind(cell)} in a column of ISO 8601 times", cell)
         texts.append((where, cell if isinstance(cell, str) and is_text else None))
-    return parse_times(texts, faults), False
+    return parse_times(texts, faults, spans), False
 
 
 def _kind(value: object) -> str:

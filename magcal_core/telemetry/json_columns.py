@@ -10,19 +10,23 @@ import pyarrow as pa
 import pyarrow.json as pajson
 
 from magcal_core.errors import TelemetryFormatError
-from magcal_core.telemetry.columns import MAX_COLUMNS, TIME, ColumnMap, checked_map, own_names, plan_columns
+from magcal_core.telemetry.columns import MAX_COLUMNS, PLAIN, ColumnMap, TableForm, checked_map, own_names, plan_columns
 from magcal_core.telemetry.export import json_cells
 from magcal_core.telemetry.faults import FaultList
 from magcal_core.telemetry.json_cells import NOT_FINITE_TOKENS, has_infinite, parse_json, to_raw_table
+from magcal_core.telemetry.json_rows import rows_to_raw
 from magcal_core.telemetry.table import RawTable, from_arrow
 from magcal_core.telemetry.text import MAX_ROWS, check_row_count, checked_text
+from magcal_core.telemetry.time_forms import time_columns
 
 TABLE: Final = "JSON table"
 _MAX_BYTES: Final = (1 << 31) - 2
 
 
-def read_json_columns(data: bytes, columns: ColumnMap | None = None, *, max_rows: int = MAX_ROWS) -> RawTable:
-    """Return the table in ``data``: ``{"time": [...], "bx": [...], ...}``, all arrays of one length.
+def read_json_columns(
+    data: bytes, columns: ColumnMap | None = None, *, max_rows: int = MAX_ROWS, form: TableForm = PLAIN
+) -> RawTable:
+    """Return the table in ``data``: ``{"time": [...], "bx": [...], ...}``, or a list of objects, one a row.
 
     Raises
     ------
@@ -32,24 +36,46 @@ def read_json_columns(data: bytes, columns: ColumnMap | None = None, *, max_rows
     text = checked_text(data)
     if len(text) > _MAX_BYTES:
         raise TelemetryFormatError("the JSON table is longer than 2 GiB; send Parquet or CSV")
-    table = _read_fast(text, checked_map(columns))
+    if text[:4096].lstrip().startswith(b"["):
+        return _read_rows(text, columns, max_rows, form)
+    table = _read_fast(text, checked_map(columns), form)
     if table is None:
-        return _read_slowly(text, columns, max_rows)
+        return _read_slowly(text, columns, max_rows, form)
     check_row_count(len(table), max_rows)
-    return from_arrow(table, plan_columns(table.column_names, columns, table=TABLE), name=TABLE)
+    return from_arrow(table, plan_columns(table.column_names, columns, table=TABLE, form=form), name=TABLE)
 
 
-def _read_fast(text: bytes, mapped: dict[str, str]) -> pa.Table | None:
+def _read_rows(text: bytes, columns: ColumnMap | None, max_rows: int, form: TableForm) -> RawTable:
+    """Return a list of objects, one a row."""
+    whole = parse_json(text, where="the JSON table")
+    if not isinstance(whole, list) or not whole:
+        raise TelemetryFormatError("the JSON table is a list without rows")
+    check_row_count(len(whole), max_rows)
+    faults = FaultList(TABLE)
+    for number, row in enumerate(whole, 1):
+        if not isinstance(row, dict):
+            faults.add(TelemetryFormatError, f"row {number}", "not a JSON object")
+    faults.raise_if_any()
+    return rows_to_raw(whole, columns, form, row_word="row", table=TABLE)
+
+
+def _read_fast(text: bytes, mapped: dict[str, str], form: TableForm) -> pa.Table | None:
     """Return the columns as Arrow parses them; None where they are not plain or have a fault."""
     # One object with one array a column: nothing else is nested, nothing for Arrow's parser to descend into.
     is_plain = text.count(b"{") == 1 and text.count(b"[") <= MAX_COLUMNS
     if not is_plain or any(token in text for token in NOT_FINITE_TOKENS):
         return None
-    own = own_names(mapped)
-    time_type = pa.string() if _has_text_times(text, own[TIME]) else pa.float64()
-    schema = pa.schema(
-        [(own[TIME], pa.list_(time_type)), *((n, pa.list_(pa.float64())) for n in {*own.values()} - {own[TIME]})]
-    )
+    times = time_columns(form.times, mapped)
+    types = {name: pa.float64() for name in own_names(mapped).values()}
+    for name in times.own.values():
+        types.pop(name, None)
+        if _has_text_times(text, name):
+            types[name] = pa.string()
+        elif not times.is_declared:
+            types[name] = pa.float64()
+    if form.validity is not None:
+        types.pop(form.validity.column, None)
+    schema = pa.schema([(name, pa.list_(kind)) for name, kind in types.items()])
     try:
         whole = pajson.read_json(
             pa.BufferReader(text),
@@ -84,12 +110,12 @@ def _has_text_times(text: bytes, own: str) -> bool:
     return begin is not None and text[begin.end() : begin.end() + 1] == b'"'
 
 
-def _read_slowly(text: bytes, columns: ColumnMap | None, max_rows: int) -> RawTable:
+def _read_slowly(text: bytes, columns: ColumnMap | None, max_rows: int, form: TableForm) -> RawTable:
     """Return the columns, read cell by cell; raise with every fault among them."""
     whole = parse_json(text, where="the JSON table")
     if not isinstance(whole, dict):
         raise TelemetryFormatError('the JSON table is no object of arrays: want {"time": [...], "bx": [...], ...}')
-    plan = plan_columns(list(whole), columns, table=TABLE)
+    plan = plan_columns(list(whole), columns, table=TABLE, form=form)
     faults = FaultList(TABLE)
     for name, cells in whole.items():
         if not isinstance(cells, list):

@@ -13,7 +13,7 @@ from magcal_core.arrays import Floats, Mask
 from magcal_core.errors import TimeConflictError, TooManyBadSamplesError, UnitsError
 from magcal_core.samples import SampleFlag, Samples
 from magcal_core.telemetry.faults import FaultList
-from magcal_core.units import NT_PER_UNIT
+from magcal_core.units import COUNTS, NT_PER_UNIT
 
 MAX_BAD_FRACTION: Final = 0.05
 """Share of samples without a usable reading or reference past which a table is refused."""
@@ -56,6 +56,7 @@ class Quality:
     step_s : median step, s; None with fewer than two samples.
     gaps : steps longer than one and a half median steps.
     longest_gap_s : the longest step, s.
+    rows_unreadable : rows left out because they are none: a header among the rows, a last row that is cut.
     """
 
     rows: int
@@ -69,6 +70,7 @@ class Quality:
     step_s: float | None
     gaps: int
     longest_gap_s: float
+    rows_unreadable: int = 0
 
     def to_dict(self) -> dict[str, object]:
         """Return the report as the records of the service have it."""
@@ -183,7 +185,9 @@ def check_conflicts(samples: Samples, limit: float) -> None:
         )
 
 
-def check_units(samples: Samples, unit: str, field_range_nt: tuple[float, float]) -> None:
+def check_units(
+    samples: Samples, unit: str, field_range_nt: tuple[float, float], nt_per_count: float | None = None
+) -> None:
     """Refuse readings that belie their unit where another known unit explains them.
 
     With a reference in the table, median |reading| must be within `RATIO_TO_REFERENCE` of median |reference|;
@@ -207,6 +211,9 @@ def check_units(samples: Samples, unit: str, field_range_nt: tuple[float, float]
         expected = f"{low:.3g}-{high:.3g} nT, as the reference in the table has it"
     if low <= reading_nt <= high or reading_nt == 0.0:
         return
+    if unit == COUNTS:
+        _refuse_count(reading_nt, nt_per_count or 1.0, (low, high, target), expected)
+        return
     factors = {other: NT_PER_UNIT[other] / NT_PER_UNIT[unit] for other in NT_PER_UNIT if other != unit}
     fitting = {other: f for other, f in factors.items() if low <= reading_nt * f <= high}
     if not fitting:
@@ -216,6 +223,16 @@ def check_units(samples: Samples, unit: str, field_range_nt: tuple[float, float]
         f"median |B| of the readings is {reading_nt:.6g} nT if they are in {unit}, expected {expected}; "
         f"they look like {best}: {fitting[best]:g} times as much"
     )
+
+
+def _refuse_count(reading_nt: float, nt_per_count: float, bounds: tuple[float, float, float], expected: str) -> None:
+    """Refuse a size of the count that puts the readings more than ten times outside what is expected."""
+    low, high, target = bounds
+    if not low / 10.0 <= reading_nt <= high * 10.0:
+        raise UnitsError(
+            f"median |B| of the readings is {reading_nt:.6g} nT with {nt_per_count:g} nT per count, want {expected};"
+            f" about {nt_per_count * target / reading_nt:.2g} nT per count would fit"
+        )
 
 
 def _some_used(samples: Samples) -> Samples:
@@ -244,6 +261,7 @@ def report(
     rows_out_of_order: int = 0,
     quaternions_normalised: int = 0,
     columns_ignored: tuple[str, ...] = (),
+    rows_unreadable: int = 0,
 ) -> Quality:
     """Return the quality report of ``samples``, which are in time order."""
     t_ns = samples.t_utc.astype("datetime64[ns]", copy=False).view(np.int64)
@@ -252,7 +270,7 @@ def report(
         steps_ns = steps_ns[steps_ns > 0]
     step_ns = _median_step(steps_ns) if steps_ns.size else None
     return Quality(
-        rows=len(samples) + rows_without_time,
+        rows=len(samples) + rows_without_time + rows_unreadable,
         used=int(np.count_nonzero(samples.is_used)),
         flags=count_flags(samples),
         rows_without_time=rows_without_time,
@@ -263,6 +281,7 @@ def report(
         step_s=None if step_ns is None else step_ns / 1e9,
         gaps=0 if step_ns is None else int(np.count_nonzero(steps_ns > GAP_STEPS * step_ns)),
         longest_gap_s=float(steps_ns.max(initial=0)) / 1e9,
+        rows_unreadable=rows_unreadable,
     )
 
 

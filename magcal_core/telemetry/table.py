@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, Protocol, TypeVar
+from typing import Final, Protocol
 
 import numpy as np
 import pyarrow as pa
@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats, Nanoseconds
 from magcal_core.errors import TelemetryFormatError, TimeError, TimeZoneMissingError
-from magcal_core.telemetry.columns import ColumnMap, ColumnPlan
+from magcal_core.telemetry.arrow_numbers import floats_of, is_numeric, is_text, unpacked
+from magcal_core.telemetry.columns import ColumnMap, ColumnPlan, TableForm
+from magcal_core.telemetry.declared_times import declared_times
 from magcal_core.telemetry.faults import FaultList
-from magcal_core.telemetry.times import NO_TIME, epoch_ns, parse_times
+from magcal_core.telemetry.iso_times import NO_TIME, Spans
+from magcal_core.telemetry.times import epoch_ns, parse_times
 
-Number = TypeVar("Number", bound=np.generic)
-Kind = TypeVar("Kind", bound=np.generic)
-
-EMPTY_CELLS: Final = ("", "NA", "N/A", "null", "NULL", "None")
+EMPTY_CELLS: Final = ("", "NA", "N/A", "n/a", "#N/A", "#N/A N/A", "#VALUE!", "-", "--", "null", "NULL", "None")
 """Texts that stand for an empty cell; ``nan`` and ``inf`` in any case are numbers that are not finite."""
 
 
@@ -37,19 +37,28 @@ class RawTable:
         Standard columns under their standard names, the rest under their own; NaN where the cell is empty.
     ignored : names
         Columns that hold no numbers.
+    scale : str, optional
+        ``utc`` or ``gps`` where the form of the times tells their scale; times then count from 1970 on it.
+    is_valid : bool, shape (n,), optional
+        Whether the table says that a reading is good.
+    bad_rows : int
+        Rows that were left out because they are none: a header among them, a last one that is cut.
     """
 
     t_ns: Nanoseconds
     is_epoch: bool
     numbers: Mapping[str, Floats]
     ignored: tuple[str, ...]
+    scale: str | None = None
+    is_valid: NDArray[np.bool_] | None = None
+    bad_rows: int = 0
 
 
 class Reader(Protocol):
     """Reads one format."""
 
-    def __call__(self, data: bytes, columns: ColumnMap | None, *, max_rows: int) -> RawTable:
-        """Return the table in ``data``.
+    def __call__(self, data: bytes, columns: ColumnMap | None, *, max_rows: int, form: TableForm) -> RawTable:
+        """Return the table in ``data``, its columns named by ``columns`` and written as ``form`` declares.
 
         Raises
         ------
@@ -67,12 +76,17 @@ def from_arrow(table: pa.Table, plan: ColumnPlan, *, name: str) -> RawTable:
     InputError
         A needed column is not numeric, or a time cannot be read.
     """
-    t_ns, is_epoch = arrow_times(table.column(plan.time), name=name)
     faults = FaultList(name)
+    is_epoch, scale = False, None
+    if plan.times.is_declared:
+        parts = {part: table.column(own) for part, own in plan.times.own.items()}
+        t_ns, scale = declared_times(plan.times, parts, lambda i: f"row {i + 1}, column {plan.time}", faults)
+    else:
+        t_ns, is_epoch = arrow_times(table.column(plan.time), name=name, spans=plan.times.form.spans)
     numbers: dict[str, Floats] = {}
     for own, standard in plan.numbers.items():
         column = table.column(own)
-        if not _is_numeric(column.type) and column.null_count < len(column):
+        if not is_numeric(column.type) and column.null_count < len(column):
             faults.add(TelemetryFormatError, f"column {own}", f"holds {column.type}, want numbers")
         else:
             numbers[standard] = floats_of(column)
@@ -80,14 +94,16 @@ def from_arrow(table: pa.Table, plan: ColumnPlan, *, name: str) -> RawTable:
     ignored = []
     for own, keeping in plan.housekeeping.items():
         column = table.column(own)
-        if _is_numeric(column.type) and column.null_count < len(column):
+        if is_numeric(column.type) and column.null_count < len(column):
             numbers[keeping] = floats_of(column)
         else:
             ignored.append(own)
-    return RawTable(t_ns, is_epoch, numbers, tuple(ignored))
+    validity = plan.validity
+    good = None if validity is None else validity.is_good(table.column(validity.column).to_pylist())
+    return RawTable(t_ns, is_epoch, numbers, tuple(ignored), scale, good)
 
 
-def arrow_times(column: pa.ChunkedArray, *, name: str) -> tuple[Nanoseconds, bool]:
+def arrow_times(column: pa.ChunkedArray, *, name: str, spans: Spans = ()) -> tuple[Nanoseconds, bool]:
     """Return the nanoseconds of an Arrow column of times, and whether it held numbers.
 
     Raises
@@ -104,15 +120,15 @@ def arrow_times(column: pa.ChunkedArray, *, name: str) -> tuple[Nanoseconds, boo
         except pa.ArrowInvalid as error:
             raise TimeError(f"column time of the {name} has times outside the years 1972 to 2099") from error
         whole = np.dtype(np.int64)
-        return _unpacked(instants, whole, NO_TIME, whole), False
-    if _is_numeric(kind):
-        return epoch_ns(floats_of(column)), True
-    if pa.types.is_string(kind) or pa.types.is_large_string(kind):
-        return _text_times(column, name=name)
+        return unpacked(instants, whole, NO_TIME, whole), False
+    if is_numeric(kind):
+        return epoch_ns(floats_of(column), spans), True
+    if is_text(kind):
+        return _text_times(column, name=name, spans=spans)
     raise TimeError(f"column time of the {name} holds {kind}, want ISO 8601 with a zone, timestamps or seconds")
 
 
-def _text_times(column: pa.ChunkedArray, *, name: str) -> tuple[Nanoseconds, bool]:
+def _text_times(column: pa.ChunkedArray, *, name: str, spans: Spans) -> tuple[Nanoseconds, bool]:
     try:
         return arrow_times(column.cast(pa.timestamp("ns", "UTC")), name=name)
     except pa.ArrowInvalid:
@@ -120,41 +136,6 @@ def _text_times(column: pa.ChunkedArray, *, name: str) -> tuple[Nanoseconds, boo
         faults = FaultList(name)
         texts = column.to_pylist()
         cells = [(f"row {row + 1}, column time", text) for row, text in enumerate(texts)]
-        t_ns = parse_times(cells, faults)
+        t_ns = parse_times(cells, faults, spans)
         faults.raise_if_any()
         return t_ns, False
-
-
-def _is_numeric(kind: pa.DataType) -> bool:
-    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind))
-
-
-def floats_of(column: pa.ChunkedArray) -> Floats:
-    """Return a numeric column, shape (n,), NaN where a cell is empty; doubles in one piece are shared, not copied."""
-    kind = column.type
-    if pa.types.is_float64(kind) and column.num_chunks == 1 and len(column) and not column.null_count:
-        (cells,) = column.chunks
-        return np.frombuffer(cells.buffers()[1], np.float64, len(cells), 8 * cells.offset)
-    if pa.types.is_decimal(kind):
-        return _unpacked(column.cast(pa.float64()), np.dtype(np.float64), np.nan, np.dtype(np.float64))
-    sent = np.dtype(_NUMPY_NAMES.get(str(kind), str(kind)))
-    return _unpacked(column, sent, np.nan, np.dtype(np.float64))
-
-
-_NUMPY_NAMES: Final = {"double": "float64", "float": "float32", "halffloat": "float16"}
-
-
-def _unpacked(column: pa.ChunkedArray, sent: np.dtype[Number], missing: float, wanted: np.dtype[Kind]) -> NDArray[Kind]:
-    """Return the cells of a column from its buffers; Arrow's own conversion would load pandas, at half a second."""
-    values = np.empty(len(column), wanted)
-    at = 0
-    for chunk in column.chunks:
-        part = values[at : at + len(chunk)]
-        validity, cells = chunk.buffers()
-        if len(chunk):
-            part[:] = np.frombuffer(cells, sent, len(chunk), chunk.offset * sent.itemsize)
-        if chunk.null_count:
-            bits = np.unpackbits(np.frombuffer(validity, np.uint8), bitorder="little")
-            part[bits[chunk.offset : chunk.offset + len(chunk)] == 0] = missing
-        at += len(chunk)
-    return values

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from datetime import UTC, date, datetime, timedelta, timezone
+from datetime import date
 from typing import Final
 
 import numpy as np
@@ -12,82 +11,26 @@ from numpy.typing import NDArray
 from magcal_core.arrays import Nanoseconds
 from magcal_core.errors import InputError, OptionError, TimeError, TimeZoneMissingError
 from magcal_core.telemetry.faults import FaultList
+from magcal_core.telemetry.iso_times import (
+    EARLIEST_NS,
+    LATEST_NS,
+    NO_TIME,
+    Spans,
+    is_number,
+    iso_match,
+    parse_iso_ns,
+)
+from magcal_core.telemetry.time_guesses import on_number, on_text
 
-NO_TIME: Final = int(np.iinfo(np.int64).min)
-"""Stands for a missing time; the bit pattern of NaT."""
-EARLIEST_NS: Final = int(np.datetime64("1972-01-01", "ns").astype(np.int64))
-"""UTC with leap seconds begins in 1972; earlier times are clocks that were never set."""
-LATEST_NS: Final = int(np.datetime64("2100-01-01", "ns").astype(np.int64))
 TIME_SCALES: Final = ("utc", "gps")
 """Scales that telemetry may declare; with ``gps``, numbers are seconds since 1980-01-06."""
 
 _GPS_EPOCH_NS: Final = int(np.datetime64("1980-01-06", "ns").astype(np.int64))
 _GPS_MINUS_TAI_S: Final = -19
 _NS: Final = 1_000_000_000
-_ISO: Final = re.compile(
-    r"(\d{4})-(\d\d)-(\d\d)[T ](\d\d):(\d\d)(?::(\d\d)(?:[.,](\d{1,18}))?)?\s*(Z|[+-]\d\d(?::?\d\d)?)?", re.ASCII | re.I
-)
-_NUMBER: Final = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-_OTHER_UNITS: Final[dict[str, tuple[float, float]]] = {
-    # name: (seconds in one, zero point in seconds since 1970)
-    "milliseconds since 1970": (1e-3, 0.0),
-    "microseconds since 1970": (1e-6, 0.0),
-    "nanoseconds since 1970": (1e-9, 0.0),
-    "Julian days": (86400.0, -2440587.5 * 86400.0),
-    "modified Julian days": (86400.0, -40587.0 * 86400.0),
-    "days since 1970": (86400.0, 0.0),
-}
 
 
-def is_number(text: str) -> bool:
-    """Return whether ``text`` is a plain decimal number."""
-    return _NUMBER.fullmatch(text) is not None
-
-
-def parse_iso_ns(text: str) -> int:
-    """Return the nanoseconds since 1970, UTC, of an ISO 8601 time with a zone; a leap second counts as the next second.
-
-    Raises
-    ------
-    TimeZoneMissingError
-        The time has no zone.
-    TimeError
-        The text is not an ISO 8601 time, or the date does not exist.
-    """
-    match = _ISO.fullmatch(text.strip())
-    if match is None:
-        raise TimeError("not an ISO 8601 time with a zone, nor seconds since 1970-01-01")
-    year, month, day, hour, minute = (int(match[i]) for i in range(1, 6))
-    second, fraction, zone = int(match[6] or 0), match[7] or "", match[8]
-    if zone is None:
-        raise TimeZoneMissingError("a time without a zone; append Z or an offset such as +02:00")
-    is_leap = second == 60
-    try:
-        whole = datetime(year, month, day, hour, minute, 59 if is_leap else second, tzinfo=_zone(zone)).astimezone(UTC)
-    except (ValueError, OverflowError) as error:
-        raise TimeError(f"no such time: {error}") from error
-    if is_leap:
-        if not _may_be_leap_second(whole):
-            raise TimeError("second 60 exists only at the end of June or December, at 23:59 UTC")
-        whole += timedelta(seconds=1)
-    seconds = (whole - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(seconds=1)
-    return seconds * _NS + int(fraction[:9].ljust(9, "0"))
-
-
-def _zone(text: str) -> timezone:
-    if text in "Zz":
-        return UTC
-    minutes = int(text[1:3]) * 60 + int(text[3:].lstrip(":") or 0)
-    if int(text[3:].lstrip(":") or 0) > 59:
-        raise ValueError("zone minutes must be in 0..59")
-    return timezone(timedelta(minutes=-minutes if text[0] == "-" else minutes))
-
-
-def _may_be_leap_second(last: datetime) -> bool:
-    return (last.hour, last.minute) == (23, 59) and (last.month, last.day) in {(6, 30), (12, 31)}
-
-
-def parse_time_ns(text: str, *, is_epoch: bool) -> int:
+def parse_time_ns(text: str, *, is_epoch: bool, spans: Spans = ()) -> int:
     """Return the nanoseconds of one time cell in a column of epoch seconds or of ISO 8601 times.
 
     Epoch seconds count from whatever epoch their scale has; `to_utc_ns` moves them.
@@ -97,18 +40,21 @@ def parse_time_ns(text: str, *, is_epoch: bool) -> int:
     TimeError
         The cell is neither, or is of the other kind than its column.
     """
-    if is_number(text) != is_epoch and (is_number(text) or _ISO.fullmatch(text)):
+    if is_number(text) != is_epoch and (is_number(text) or iso_match(text)):
         kinds = ("an ISO 8601 time", "epoch seconds") if is_epoch else ("epoch seconds", "ISO 8601 times")
         raise TimeError(f"{kinds[0]} in a column of {kinds[1]}")
     if not is_epoch:
         return parse_iso_ns(text)
     if not is_number(text):
         raise TimeError("not seconds since 1970-01-01")
-    return int(epoch_ns(np.array([float(text)]))[0])
+    return int(epoch_ns(np.array([float(text)]), spans)[0])
 
 
-def parse_times(cells: list[tuple[str, str | None]], faults: FaultList) -> Nanoseconds:
-    """Return the nanoseconds of ``cells``, pairs of place and text; empty cells have `NO_TIME`, faults are noted."""
+def parse_times(cells: list[tuple[str, str | None]], faults: FaultList, spans: Spans = ()) -> Nanoseconds:
+    """Return the nanoseconds of ``cells``, pairs of place and text; empty cells have `NO_TIME`, faults are noted.
+
+    ``spans`` is where the orbits are good: of a time that cannot be read the forms that put it there are named.
+    """
     first = next((text for _, text in cells if text), "")
     is_epoch = is_number(first)
     t_ns = np.full(len(cells), NO_TIME, np.int64)
@@ -116,27 +62,37 @@ def parse_times(cells: list[tuple[str, str | None]], faults: FaultList) -> Nanos
         if not text:
             continue
         try:
-            t_ns[i] = parse_time_ns(text, is_epoch=is_epoch)
+            t_ns[i] = parse_time_ns(text, is_epoch=is_epoch, spans=spans)
         except OverflowError:
             faults.add(TimeError, where, "outside the years 1972 to 2099", text)
         except InputError as error:
             faults.add(type(error), where, error.message, text)
+            if faults.count == 1:
+                faults.advise(_advice(error, text, spans))
     return t_ns
 
 
-def epoch_ns(seconds: NDArray[np.floating] | NDArray[np.integer]) -> Nanoseconds:
+def _advice(error: InputError, text: str, spans: Spans) -> str:
+    if isinstance(error, TimeZoneMissingError):
+        return "where such times are UTC: --time-format utc"
+    if iso_match(text) is not None or is_number(text):
+        return ""
+    return on_text(text, spans)
+
+
+def epoch_ns(seconds: NDArray[np.floating] | NDArray[np.integer], spans: Spans = ()) -> Nanoseconds:
     """Return ``seconds`` since an epoch in nanoseconds, floats rounded to the microsecond; not finite gives `NO_TIME`.
 
     Raises
     ------
     TimeError
-        The numbers are no seconds since 1970; the message has the unit that they seem to have.
+        The numbers are no seconds since 1970; the message has the forms that they may have.
     """
     values = np.asarray(seconds, np.float64)
     is_given = np.isfinite(values)
     given = values[is_given]
     if given.size:
-        _refuse_other_units(float(np.median(given)))
+        _refuse_other_forms(float(np.median(given)), spans)
     t_ns = np.full(values.shape, NO_TIME, np.int64)
     limited = np.clip(given, -9.2e9, 9.2e9)
     whole = np.floor(limited)
@@ -145,14 +101,13 @@ def epoch_ns(seconds: NDArray[np.floating] | NDArray[np.integer]) -> Nanoseconds
     return t_ns
 
 
-def _refuse_other_units(typical: float) -> None:
+def _refuse_other_forms(typical: float, spans: Spans) -> None:
     if 0 <= typical * _NS < LATEST_NS and typical > 1e7:
         return
-    for name, (scale_s, zero_s) in _OTHER_UNITS.items():
-        if EARLIEST_NS <= (typical * scale_s + zero_s) * _NS < LATEST_NS:
-            raise TimeError(f"the times look like {name} (a typical one is {typical:.15g}); send seconds or ISO 8601")
+    guess = on_number(typical, spans)
     raise TimeError(
         f"the times are no seconds since 1970-01-01 between 1972 and 2099 (a typical one is {typical:.15g})"
+        + (f": {guess}" if guess else "")
     )
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -47,7 +48,8 @@ def at_readings(table: RawTable) -> RawTable:
     numbers: Mapping[str, Floats] = {
         name: (column if name in STANDARD else _held(column))[has_reading] for name, column in table.numbers.items()
     }
-    return RawTable(table.t_ns[has_reading], table.is_epoch, numbers, table.ignored)
+    is_valid = None if table.is_valid is None else table.is_valid[has_reading]
+    return replace(table, t_ns=table.t_ns[has_reading], numbers=numbers, is_valid=is_valid)
 
 
 def _held(column: Floats) -> Floats:

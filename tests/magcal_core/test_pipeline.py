@@ -108,13 +108,15 @@ def test_readings_that_are_not_finite_are_flagged_and_left_out(nominal):
         calibrate(replace(nominal, h_nt=h))
 
 
-def test_reference_in_a_turned_frame_is_refused_with_the_reason(nominal):
-    turn = np.deg2rad(8.0)
+@pytest.mark.parametrize("method", ["vector", "vector-closed-form"])
+@pytest.mark.parametrize("turn_deg", [5.0, 8.0])
+def test_reference_in_a_turned_frame_is_refused_with_the_reason(nominal, method, turn_deg):
+    turn = np.deg2rad(turn_deg)
     rotation = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
-    got = calibrate(replace(nominal, b_ref_base_nt=nominal.b_ref_base_nt @ rotation), method="vector")
+    got = calibrate(replace(nominal, b_ref_base_nt=nominal.b_ref_base_nt @ rotation), method=method)
     assert got.verdict.grade == "refuse"
     assert "misaligned" in [reason.code for reason in got.verdict.reasons]
-    assert got.extras["full_matrix"]["rotation_deg"] == pytest.approx(8.0, abs=0.1)
+    assert got.extras["full_matrix"]["rotation_deg"] == pytest.approx(turn_deg, abs=0.1)
 
 
 def test_samples_without_a_reference_need_an_orbit(nominal):
@@ -277,11 +279,14 @@ def test_a_vector_fit_of_permuted_axes_names_the_right_ones(orbit):
 class TestTimeOffset:
     """Simulated passes with a clock offset planted: what must be added to the telemetry's clock."""
 
-    def flown(self, orbit, offset_s, days=0.0, seed=3):
+    def made(self, orbit, offset_s, days=0.0, seed=3, duration_s=11500.0):
         start = orbit.epoch_utc.astype("datetime64[s]") + np.timedelta64(round(days * 86400), "s")
         sensor = SensorModel([2928.125, -1191.25, -1875.625], [1.032695, 1.006685, 1.032875], [-4.53, -1.067, 7.915])
         disturbances = Disturbances(noise_nt=50.0, time_offset_s=offset_s)
-        return simulate(orbit, sensor, start, 11500.0, 10.0, disturbances=disturbances, seed=seed).samples
+        return simulate(orbit, sensor, start, duration_s, 10.0, disturbances=disturbances, seed=seed)
+
+    def flown(self, orbit, offset_s, days=0.0, seed=3):
+        return self.made(orbit, offset_s, days, seed).samples
 
     @pytest.mark.parametrize("method", ["scalar", "vector"])
     @pytest.mark.parametrize("offset_s", [-20.0, 2.0])
@@ -341,6 +346,34 @@ class TestTimeOffset:
     def test_offset_of_a_reference_in_the_telemetry_is_refused(self, nominal):
         with pytest.raises(OptionError, match="no orbit"):
             calibrate(nominal, time_offset="estimate")
+
+    def test_an_offset_that_a_regressor_explains_is_not_applied(self, orbit):
+        """A current that moves axis 1 and 3 like a late clock: significant without its column, not beside it."""
+        made = self.made(orbit, 0.0, days=5.0, seed=0, duration_s=6900.0)
+        size_nt, axis = np.linalg.norm(made.b_base_nt, axis=1), np.array([0.6, 0.0, 0.8])
+        current = np.gradient(size_nt) / 10.0 * (made.b_base_nt @ axis) / size_nt
+        read = current + 0.3 * np.random.default_rng(0).normal(size=len(current))
+        h_nt = made.samples.h_nt + 4.0 * current[:, None] * axis
+        samples = replace(made.samples, h_nt=h_nt, housekeeping={"current": read})
+        plain = calibrate(samples, [orbit])
+        assert plain.parameters.time_offset_s == pytest.approx(1.16, abs=0.1)
+        got = calibrate(samples, [orbit], regressors="auto")
+        assert list(got.parameters.regressors) == ["current"]
+        assert not got.extras["time_offset"]["is_significant"]
+        assert got.parameters.time_offset_s is None
+        assert [w for w in got.warnings if w.startswith("time_offset_not_used")]
+
+    def test_an_offset_is_sought_again_beside_the_regressors(self, orbit):
+        """3 uT of a heater that switches hide two seconds; beside its current the offset is known to 0.2 s."""
+        samples = self.made(orbit, 2.0, days=5.0, seed=0, duration_s=6900.0).samples
+        rng = np.random.default_rng(1000)
+        current = 0.5 * (np.cumsum(rng.random(len(samples)) < 0.02) % 2) + 0.01 * rng.normal(size=len(samples))
+        h_nt = samples.h_nt + current[:, None] * [2400.0, -1600.0, 1800.0]
+        switched = replace(samples, h_nt=h_nt, housekeeping={"heater_a": current})
+        assert calibrate(switched, [orbit]).parameters.time_offset_s is None
+        got = calibrate(switched, [orbit], regressors="auto")
+        assert list(got.parameters.regressors) == ["heater_a"]
+        assert got.parameters.time_offset_s == pytest.approx(2.0, abs=4 * got.standard_errors.time_offset_s)
 
     @pytest.mark.parametrize("method", ["scalar", "vector"])
     def test_half_a_second_is_told_from_nothing(self, orbit, method):

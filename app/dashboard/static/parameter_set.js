@@ -19,9 +19,14 @@ async function activate(record) {
     h("p", {}, `${record.satellite}, ${record.magnetometer}: this set (`, grade(record.verdict.grade), ") comes into force for the magnetometer at once. ",
       active ? `The one in force, ${short(active.id)}, is retired; a rollback brings it back.` : "None is in force now."),
     record.verdict.grade === "refuse" ? h("p", { class: "notice refuse" }, "Its verdict is refuse. Activate it only if you know better.") : null,
-    active ? differenceTable(active, record) : parameterTable(record)];
+    active ? [await rollout(), differenceTable(active, record)] : parameterTable(record)];
   if (!await confirm("Activate this parameter set?", content, "Activate")) return;
   await change(record, "activate", record.verdict.grade === "refuse" ? { force: true } : {});
+}
+
+// By how much the corrected field changes with this set, today and at the end of its life.
+async function rollout() {
+  return h("p", {}, (await api(`/parameter-sets/${id}/rollout`)).text);
 }
 
 async function rollback(record) {
@@ -139,6 +144,24 @@ function provenance(record) {
 
 const software = ({ name, version, ...parts }) => [`${name} ${version}`, ...Object.entries(parts).map((part) => part.join(" "))].join(", ");
 
+function steps(record) {
+  const { items, is_fitted: isFitted } = record.bias_steps;
+  if (!items.length) return h("p", { class: "muted" }, "No step of the bias shows.");
+  return h("ul", {}, items.map((step) => h("li", {}, step.text, isFitted ? "; the set's bias is that after the last step" : "; named, not removed: calibrate with bias_steps fit")));
+}
+
+function windows(record) {
+  const { hours, items, trend } = record.windows;
+  return [h("p", {}, `Calibrated one by one in windows of ${fixed(hours, 1)} h; at the end of the data their trend has the bias at `,
+    trend.parameters.bias_nt.map((value, i) => `${fixed(value, 0)} ± ${fixed(trend.standard_errors.bias_nt[i], 0)}`).join(", "), " nT."),
+  table([
+    { name: "from", value: (r) => r.from, show: (r) => time(r.from) },
+    { name: "until", value: (r) => r.until, show: (r) => time(r.until) },
+    { name: "verdict", value: (r) => r.verdict?.grade ?? r.error, show: (r) => r.verdict ? grade(r.verdict.grade) : r.error },
+    { name: "bias, nT", value: (r) => r.parameters?.bias_nt.join(" ") ?? "", show: (r) => r.parameters ? r.parameters.bias_nt.map((value) => fixed(value, 1)).join("; ") : "–" },
+  ], items, { caption: "Windows", file: `windows-${record.id}` })];
+}
+
 function first_order(record) {
   return record.first_order ? h("p", { class: "muted" }, "First-order parameters of the DEKART paper: scale ",
     record.first_order.scale.map((value) => fixed(value, 6)).join(", "), "; angles ",
@@ -168,6 +191,9 @@ async function draw() {
         figure("autocorrelation", "Autocorrelation", "Outside the grey band residuals are not white, and formal errors are too small.")),
       h("div", { class: "pair" }, figure("sphere", "On the body sphere", "Residual by the direction of the field in the sensor's frame, equal area.", 400),
         figure("map", "Over the Earth", "Residual by geocentric latitude and longitude of the satellite; thin lines: |B| of IGRF at its height, nT.", 420))),
+    record.bias_steps?.state === "searched" ? section("The bias over its data", steps(record),
+      figure("bias-path", "Path of the bias", "Line and 95 % band: the bias over time; dashed, with its own bar: the one value that the set has for all of it; hatched: steps.", 560)) : null,
+    record.windows ? section("Windows", windows(record)) : null,
     section("Correlation", figure("correlation", "Correlation of the parameters", "From the honest covariance.", 410)),
     ablation(record),
     section("What if", whatIf(record)),

@@ -14,6 +14,7 @@ function statusOf(row) {
     ["its residual", nt(row.active?.rms_nt), row.active?.cross_validated_rms_nt ? `cross-validated ${nt(row.active.cross_validated_rms_nt)}` : null],
     ["last session", row.last_session ? h("a", { href: `/sessions/${row.last_session.id}` }, age(row.last_session.data_until)) : "none",
       row.last_session ? `${row.last_session.samples} samples` : null],
+    ["good for", h("span", { "data-life": row.magnetometer }, "–")],
     ["jobs waiting or running", String(row.jobs_waiting)]);
 }
 
@@ -89,6 +90,36 @@ function addOrbit() {
   });
 }
 
+// Which trend to ask for: three sets that can count are needed, and a time that is not too far from them.
+function trendOf(sets, magnetometer) {
+  const own = sets.filter((row) => row.magnetometer === magnetometer && row.grade !== "refuse");
+  const lead = own.find((row) => row.status === "active") ?? own.toSorted((a, b) => a.data_until.localeCompare(b.data_until)).at(-1);
+  const counted = own.filter((row) => row.method.startsWith("vector") === lead.method.startsWith("vector"));
+  const times = [...new Set(counted.map((row) => row.data_from))].map((text) => Date.parse(text)).sort((a, b) => a - b);
+  if (times.length < 3) return null;
+  const reach = Math.max(3 * (times.at(-1) - times[0]), 3 * 86400000);
+  const now = new Date();
+  return now - times.at(-1) < reach ? `?at=${now.toISOString().slice(0, 13)}:00:00Z` : "";
+}
+
+async function lives(sets, names, place) {
+  for (const magnetometer of names) {
+    const tile = [...document.querySelectorAll("[data-life]")].find((node) => node.dataset.life === magnetometer);
+    const query = sets.some((row) => row.magnetometer === magnetometer && row.grade !== "refuse") ? trendOf(sets, magnetometer) : null;
+    if (query === null || !tile) continue;
+    try {
+      const { life, at, field_error_nt: error } = await api(`/satellites/${id}/magnetometers/${encodeURIComponent(magnetometer)}/trend${query}`);
+      tile.replaceChildren(life.days === null ? "unknown" : `${life.is_capped ? "≥ " : ""}${fixed(life.days, 0)} d`,
+        h("small", {}, life.days === null ? life.text : `to within ${fixed(100 * life.share, 0)} %, from ${time(at)}`));
+      place.append(plot(`/satellites/${id}/figures/trend?magnetometer=${encodeURIComponent(magnetometer)}`,
+        `Trend of ${magnetometer}: ${life.text}`,
+        `Points: sets with 95 % bars, hollow where left out; line and band: what all of them tell, on to the end of the life; hatched: jumps. Below, the bound of the active set's error against its limit. Now the field is known to ${nt(error)}.`, 860));
+    } catch (problem) {
+      tile.replaceChildren("unknown", h("small", {}, problem.message));
+    }
+  }
+}
+
 function historyOf(magnetometer, hasSets) {
   const place = h("div");
   const query = () => `magnetometer=${encodeURIComponent(magnetometer.value)}`;
@@ -116,12 +147,13 @@ start(async () => {
   const sessionsPlace = section("Sessions", h("p", { class: "muted" }, "Loading …"));
   const orbitsPlace = section("Orbits", h("p", { class: "muted" }, "Loading …"));
   const setsPlace = section("Parameter sets", h("p", { class: "muted" }, "Loading …"));
+  const trendPlace = h("div");
   show(h("div", { class: "heading" }, h("h1", {}, satellite.name ?? satellite.id), h("p", { class: "muted" },
     [satellite.id, satellite.norad_id && `NORAD ${satellite.norad_id}`, satellite.cospar_id].filter(Boolean).join(" · "))),
     states.filter((row) => row.magnetometer).map(statusOf),
     !names.length ? h("div", { class: "empty" }, h("h2", {}, "Next step: add its magnetometer"), may("operate") ? addMagnetometer() : null) : null,
     names.length && may("ingest") ? section("Upload telemetry", uploader(id, satellite.magnetometers)) : null,
-    setsPlace, historyOf(magnetometer, states.some((row) => row.newest)), sessionsPlace, orbitsPlace,
+    setsPlace, trendPlace, historyOf(magnetometer, states.some((row) => row.newest)), sessionsPlace, orbitsPlace,
     may("operate") && names.length ? h("details", {}, h("summary", {}, "Add a magnetometer"), addMagnetometer()) : null);
 
   async function orbits() {
@@ -144,4 +176,5 @@ start(async () => {
     empty: names.length ? "No telemetry yet: drop a file above, or send it with magcal push." : "No telemetry yet." }));
   setsPlace.replaceChildren(setsPlace.firstChild, table(SET_COLUMNS, sets, { caption: "Parameter sets", file: `${id}-parameter-sets`,
     empty: "No parameter set yet: open a session and start a calibration." }));
+  await lives(sets, names, trendPlace);
 });

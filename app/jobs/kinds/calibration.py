@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Final
 
@@ -12,22 +12,24 @@ from sqlalchemy.orm import Session
 
 from app.access.caller import SYSTEM, Caller
 from app.errors import ConflictError, ExpiredError
-from app.http.schemas import parse_utc
+from app.http.schemas import core_times, parse_utc
 from app.jobs.kinds.contract import Admission, Claim, Outcome, WrongKindError
 from app.jobs.schemas import CalibrationBody, JobBody
 from app.jobs.tables import JobSession
 from app.orbits.nearest import chosen
+from app.orbits.objects import difference
 from app.orbits.repository import OrbitRepository
 from app.orbits.tables import OrbitRow
 from app.parameter_sets.repository import ParameterSetRepository
 from app.parameter_sets.tables import ParameterSet
 from app.satellites.repository import SatelliteRepository
 from app.sessions.repository import SessionRepository, identity
-from app.sessions.tables import TelemetrySession
+from app.sessions.tables import Chunk, TelemetrySession
 from app.storage.database import new_id, utc_now
 from app.storage.store import Store
 from magcal_core.errors import OptionError, OrbitMissingError, TleEpochError
 from magcal_core.options import CalibrationOptions
+from magcal_core.telemetry.time_guesses import on_distance, spans_of
 
 POSITIONED: Final = frozenset({"ref_b", "ref_bx", "ref_eci_x", "x_km"})
 """Columns that make an orbit unnecessary."""
@@ -37,7 +39,8 @@ DEFAULT_AGE_DAYS: Final = 14.0
 @dataclass(frozen=True, slots=True)
 class CalibrationWork:
     """What a calibration works on: each session's chunks, orbits as (id, content), options, its inputs' names, and the
-    parameter set that was in force before, where there is one.
+    parameter set that was in force before, where there is one; ``strangers`` says of orbits of another object, by id,
+    which.
     """
 
     columns: Sequence[Sequence[bytes]]
@@ -45,6 +48,7 @@ class CalibrationWork:
     options: Mapping[str, object]
     inputs: Sequence[Mapping[str, object]]
     active: Mapping[str, object] | None = None
+    strangers: Mapping[str, str] = field(default_factory=dict)
 
 
 class CalibrationKind:
@@ -84,7 +88,11 @@ class CalibrationKind:
             best = chosen(orbits.around(row.data_from, row.data_until, 0.0), row.data_from)
             if best is None:
                 raise OrbitMissingError("the telemetry has no reference and no position, and the satellite no orbit")
-            _check_age(best, row.data_from, row.data_until, limit_days)
+            try:
+                _check_age(best, row.data_from, row.data_until, limit_days)
+            except TleEpochError as error:
+                other_form = on_distance(core_times([row.data_from])[0], spans_of(orbits.instants()))
+                raise TleEpochError(error.message + other_form) from error
 
     def load(self, session: Session, store: Store, claim: Claim) -> CalibrationWork:
         """Return the chunks, the orbits near them and the options of the claimed job."""
@@ -96,12 +104,15 @@ class CalibrationKind:
         end = max(row.data_until for row in rows if row.data_until is not None)
         orbits = OrbitRepository(session, SYSTEM, str(claim.satellite_id))
         near = orbits.around(begin, end, _limit_days(claim.request))
+        satellite = SatelliteRepository(session, SYSTEM).get(str(claim.satellite_id))
+        others = {row.id: other for row in near if (other := difference(satellite, row.details)) is not None}
         return CalibrationWork(
             columns=columns,
             orbits=[(row.id, row.content) for row in near],
             options=claim.request,
-            inputs=[{"session_id": row.id, "sha256": identity(sessions.chunks(row.id))} for row in rows],
+            inputs=[_input(row.id, sessions.chunks(row.id)) for row in rows],
             active=_in_force(session, claim, begin),
+            strangers=others,
         )
 
     def keep(self, session: Session, store: Store, claim: Claim, found: Outcome) -> dict[str, object]:
@@ -125,6 +136,12 @@ class CalibrationKind:
         sets = ParameterSetRepository(session, SYSTEM)
         sets.add(row, list(session.scalars(links)), found.blobs, store)
         return {"parameter_set_id": row.id}
+
+
+def _input(session_id: str, chunks: Sequence[Chunk]) -> dict[str, object]:
+    """Return what a parameter set says of a session that it was found from: its bytes, and how they were read."""
+    known: dict[str, object] = {"session_id": session_id, "sha256": identity(chunks)}
+    return known if chunks[0].reading is None else known | {"reading": chunks[0].reading}
 
 
 def _in_force(session: Session, claim: Claim, begin: datetime) -> dict[str, object] | None:

@@ -16,13 +16,12 @@ from app.records.residual_table import residual_table
 from app.sessions.repository import samples_of
 from magcal_core.calibration.result import Calibration
 from magcal_core.calibration.sessions.monitoring import ActiveSet
+from magcal_core.compile_kernels import calibrate_made_up_session
 from magcal_core.errors import EstimationError, InputError
 from magcal_core.options import METHODS, CalibrationOptions
 from magcal_core.orbit import Orbit
-from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
 from magcal_core.pipeline import calibrate as run
 from magcal_core.sessions import calibrate_jointly
-from magcal_core.simulation.dekart_mission import SESSIONS, simulated, tle_of
 
 
 def calibrate(work: object, report: Report) -> Outcome:
@@ -44,6 +43,7 @@ def calibrate(work: object, report: Report) -> Outcome:
     if not isinstance(record, dict):
         raise WrongKindError("a calibration's record is not a mapping")
     _complete_provenance(record["provenance"], work)
+    _name_strangers(record, work)
     return Outcome(record, _blobs(found))
 
 
@@ -76,9 +76,19 @@ def _complete_provenance(provenance: dict[str, object], work: CalibrationWork) -
         orbit["id"] = work.orbits[orbit.pop("index")][0]
 
 
+def _name_strangers(record: dict[str, object], work: CalibrationWork) -> None:
+    """Add a warning of each orbit that was used and is of another object than the satellite."""
+    provenance, warnings = record["provenance"], record["warnings"]
+    used = provenance.get("orbits") if isinstance(provenance, dict) else None
+    if isinstance(warnings, list) and isinstance(used, list):
+        names = [str(orbit["id"]) for orbit in used]
+        warnings += [
+            f"orbit_of_another_object: orbit {one}: {work.strangers[one]}" for one in names if one in work.strangers
+        ]
+
+
 def warm(_work: object, _report: Report) -> Outcome:
     """Calibrate made-up sessions, so that a new child has everything loaded and compiled."""
-    samples = simulated(SESSIONS[0]).samples
     for method in METHODS:
-        found = run(samples, [Sgp4Orbit(tle_of(SESSIONS[0]))], method=method, with_moments=True)
+        found = calibrate_made_up_session(method)
     return Outcome({}, _blobs(found))

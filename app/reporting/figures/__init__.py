@@ -22,6 +22,7 @@ from app.reporting.figures.sessions import housekeeping, raw_field, sphere_cover
 from app.reporting.figures.studies import coefficient_errors, energy_terms, error_against_angle, settling
 from app.reporting.figures.style import DARK, LIGHT, MAX_POINTS, THEMES, Theme
 from app.reporting.figures.timeline import InForce, SessionMark, session_timeline
+from app.reporting.figures.trend import bias_path_figure, trend_figure
 
 __all__ = [
     "DARK",
@@ -34,6 +35,7 @@ __all__ = [
     "Theme",
     "ablation_bar",
     "before_after",
+    "bias_path_figure",
     "coefficient_errors",
     "compare_sets",
     "correlation_matrix",
@@ -53,4 +55,5 @@ __all__ = [
     "short_name",
     "sphere_coverage",
     "tle_age_history",
+    "trend_figure",
 ]

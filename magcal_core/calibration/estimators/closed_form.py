@@ -62,6 +62,9 @@ class ClosedFormFit:
             responses = forward.significance(axis), forward.own_significance(axis)
             require_response(axis, forward.matrix[axis], *responses, full)
         rows = reweighted_inverse(observations.h_nt, b_nt, observations.weights, settings.robust)
+        if settings.robust != "none":
+            # Whether the reference is turned is asked of the samples that the loss believes.
+            full = full_rows(fit_rows(observations.h_nt, b_nt, none.columns, rows.weights), observations, none)
         noise = np.full(3, -1.0)
         if settings.noise_model == "white":
             noise = forward.sigma_nt if settings.noise_nt is None else np.full(3, settings.noise_nt)
@@ -83,7 +86,8 @@ class ClosedFormFit:
             robust=settings.robust,
             noise_nt=float(np.sqrt(np.mean(noise**2))) if noise[0] >= 0 else -1.0,
             candidates=candidates,
-            warnings=(*axis_warnings(parameters.scale, parameters.nonorthogonality_deg), *notes),
+            warnings=(*axis_warnings(parameters.scale, parameters.nonorthogonality_deg), *full.warnings, *notes),
+            full_matrix=full,
         )
 
     def refit(self, observations: Observations, settings: FitSettings, near: Fit) -> Parameters:

@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from magcal_core.arrays import Floats
+from magcal_core.calibration.estimators.parts import FirstOrder, FullMatrix
 from magcal_core.numerics.blocks import BlockScores
 from magcal_core.observations import Observations
 from magcal_core.sensor.parameters import Parameters
@@ -59,6 +60,7 @@ class Fit:
         Unknowns of the clock on top of the reference's: offset, s, and drift, s/s; the last rows of the covariance.
     cost : float
         Sum of squares (of robust losses) at the estimate, nT^2.
+    full_matrix, first_order : what the vector methods, and the search of the DEKART paper, find beside.
     """
 
     method: str
@@ -77,7 +79,14 @@ class Fit:
     clock: Floats = field(default_factory=lambda: np.zeros(0))
     candidates: tuple[Candidate, ...] = ()
     warnings: tuple[str, ...] = ()
-    extras: Mapping[str, object] = field(default_factory=dict)
+    full_matrix: FullMatrix | None = None
+    first_order: FirstOrder | None = None
+
+    @property
+    def extras(self) -> dict[str, object]:
+        """What only some methods find, under the names that the record gives it."""
+        parts = {"full_matrix": self.full_matrix, "first_order": self.first_order}
+        return {name: part.to_dict() for name, part in parts.items() if part is not None}
 
     @property
     def formal_standard_errors(self) -> Parameters:

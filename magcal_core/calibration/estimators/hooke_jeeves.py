@@ -18,6 +18,7 @@ from numba import njit
 
 from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.contract import Fit, FitSettings, FitStatus
+from magcal_core.calibration.estimators.parts import FirstOrder
 from magcal_core.calibration.estimators.scalar import ScalarFit, fit_at
 from magcal_core.calibration.estimators.scalar_start import closed_form_starts
 from magcal_core.errors import OptionError
@@ -139,16 +140,16 @@ class HookeJeevesFit:
         theta = _theta(p)
         fit = fit_at(self.name, observations, theta, guide)
         model_minus_measured = -fit.residuals_nt
-        printed = {
-            "bias_nt": p[6:].tolist(),
-            "scale": p[:3].tolist(),
-            "nonorthogonality_deg": np.rad2deg(p[3:6]).tolist(),
-            "mean_nt": float(model_minus_measured.mean()),
-            "sigma_nt": float(model_minus_measured.std()),
-            "evaluations": evaluations,
-        }
+        printed = FirstOrder(
+            bias_nt=p[6:],
+            scale=p[:3],
+            nonorthogonality_deg=np.rad2deg(p[3:6]),
+            mean_nt=float(model_minus_measured.mean()),
+            sigma_nt=float(model_minus_measured.std()),
+            evaluations=evaluations,
+        )
         status = FitStatus.CONVERGED if is_converged else FitStatus.MAX_EVALUATIONS
-        return replace(fit, evaluations=evaluations, status=status, extras={"first_order": printed})
+        return replace(fit, evaluations=evaluations, status=status, first_order=printed)
 
     def refit(self, observations: Observations, settings: FitSettings, near: Fit) -> Parameters:
         """Return the estimate near a known one; by `ScalarFit`, which ends at the same minimum.

@@ -67,7 +67,7 @@ class VectorFit:
             clock=clock,
             robust=settings.robust,
             warnings=(*axis_warnings(parameters.scale, parameters.nonorthogonality_deg), *full.warnings),
-            extras={"full_matrix": full.to_dict()},
+            full_matrix=full,
         )
 
     def refit(self, observations: Observations, settings: FitSettings, near: Fit) -> Parameters:

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from magcal_core.arrays import Floats
+from magcal_core.calibration.estimators.parts import FullMatrix
 from magcal_core.numerics.linear_algebra import scaled_inverse
 from magcal_core.numerics.regression import Regression
 from magcal_core.numerics.robust import robust_sigma, shared_weight_slope
@@ -20,10 +21,6 @@ _WIDE: Final = (1, 2, 3)
 _NEXT_TO: Final = 1e-3
 _ALMOST_STILL: Final = 1e-6
 """Movement of a residual, in units of the noise, at which a loss hands on to the next one, and a refit ends."""
-MISALIGNED_P: Final = 1e-6
-"""Probability below which the lower-triangular hypothesis is given up."""
-MISALIGNED_DEG: Final = 0.1
-"""Rotation below which a misalignment is not worth a warning, deg."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,45 +178,6 @@ def _softening(rows: Rows, prior: Floats, robust: str, floor: float) -> tuple[fl
     psi, plain = (rows.weights * weight) @ squares, rows.weights @ squares
     mean_weight = float(rows.weights.sum() / prior.sum())
     return share**2 / mean_weight * float(np.max(psi / np.maximum(plain, 1e-300))), share
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FullMatrix:
-    """The twelve-parameter fit: T with all nine elements, and the test that the three above the diagonal are zero."""
-
-    matrix: Floats
-    f_statistic: float
-    p_value: float
-    lower: Floats
-    rotation: Floats
-    is_regular: bool
-
-    @property
-    def angle_deg(self) -> float:
-        """Angle of the rotation between the reference's frame and the magnetometer's base frame, deg."""
-        proper = self.rotation * np.sign(np.linalg.det(self.rotation))
-        return float(np.rad2deg(np.arccos(np.clip((np.trace(proper) - 1.0) / 2.0, -1.0, 1.0))))
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Say that the reference is not in the sensor's own base frame, where the test finds so."""
-        if self.p_value >= MISALIGNED_P or self.angle_deg < MISALIGNED_DEG:
-            return ()
-        return (
-            f"misaligned: the reference is turned by {self.angle_deg:.2f} deg from the sensor's base frame "
-            f"(p = {self.p_value:.1g}); full_matrix has the rotation",
-        )
-
-    def to_dict(self) -> dict[str, object]:
-        """Return the fit as the records have it."""
-        return {
-            "matrix": self.matrix.tolist(),
-            "f_statistic": self.f_statistic,
-            "p_value": self.p_value,
-            "lower_triangular": self.lower.tolist(),
-            "rotation": self.rotation.tolist(),
-            "rotation_deg": self.angle_deg,
-        }
 
 
 def full_rows(rows: Rows, observations: Observations, z: Standardised) -> FullMatrix:

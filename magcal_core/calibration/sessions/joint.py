@@ -72,6 +72,13 @@ class JointFit:
     is_converged: bool
     warnings: tuple[str, ...]
 
+    def with_time_base(self, time_base_utc: np.datetime64 | None) -> JointFit:
+        """Return the fit with the instant since which the regressor ``time`` counts its hours."""
+        sessions = (
+            replace(one, parameters=replace(one.parameters, time_base_utc=time_base_utc)) for one in self.sessions
+        )
+        return replace(self, sessions=tuple(sessions))
+
     def to_dict(self) -> dict[str, object]:
         """Return the joint fit as records have it."""
         return {

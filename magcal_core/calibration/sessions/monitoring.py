@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from magcal_core.arrays import Floats
-from magcal_core.calibration.estimators.normal_equations import block_equations
+from magcal_core.calibration.estimators.normal_equations import block_equations, equations_at
 from magcal_core.calibration.estimators.scale_terms import without_scale_terms
 from magcal_core.calibration.reasons import Reason
 from magcal_core.calibration.sessions.consistency import ParameterDifference
+from magcal_core.calibration.sessions.field_change import field_change
 from magcal_core.calibration.uncertainty.honest_covariance import covered_s, honest_covariance
 from magcal_core.errors import InputError, OptionError
 from magcal_core.numerics.blocks import BlockScores
 from magcal_core.observations import Observations, residuals_nt
-from magcal_core.sensor.model import matrix_of_parameters
 from magcal_core.sensor.parameters import Parameters
+from magcal_core.sensor.regressors import BEFORE, is_step
 
 MIN_SAMPLES: Final = 12
 SIGNIFICANT_P: Final = 1e-3
@@ -31,7 +32,8 @@ MATERIAL_SHARE: Final = 0.01
 _BLOCKS: Final = 64
 _PRIOR: Final[Mapping[str, float]] = {"bias_nt": 2e4, "scale": 0.3, "nonorthogonality_deg": 20.0}
 """How far a parameter may have drifted at all: only there to keep what a session does not show from running away."""
-_DIRECTIONS: Final = 64
+_NOISE_STEP: Final = 1e-3
+"""Step of the reading, as a share of the field, that derivatives of the scores are taken over."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,6 +45,37 @@ class ActiveSet:
     residual_rms_nt: float
     is_vector: bool
 
+    def values_of(self, names: Sequence[str]) -> Floats:
+        """Return the parameters ``names``, which the set must have, in that order."""
+        return self.parameters.vector[self._places(names)]
+
+    def covariance_of(self, names: Sequence[str]) -> Floats:
+        """Return the covariance of the parameters ``names``, which the set must have, in that order."""
+        at = self._places(names)
+        return self.covariance[np.ix_(at, at)]
+
+    def at_time_base(self, time_base_utc: np.datetime64 | None) -> ActiveSet:
+        """Return the set with the regressor ``time`` counted since another instant, where it has that regressor."""
+        if time_base_utc is None or self.parameters.time_base_utc is None:
+            return self
+        at = self.parameters.vector
+        steps = np.maximum(np.sqrt(np.abs(np.diag(self.covariance))), 1e-6 * np.maximum(np.abs(at), 1.0))
+
+        def moved(values: Floats) -> Floats:
+            return self.parameters.with_vector(values).at_time_base(time_base_utc).vector
+
+        nudges = zip(0.5 * np.diag(steps), steps, strict=True)
+        carry = np.column_stack([(moved(at + nudge) - moved(at - nudge)) / step for nudge, step in nudges])
+        return replace(
+            self,
+            parameters=self.parameters.at_time_base(time_base_utc),
+            covariance=carry @ self.covariance @ carry.T,
+        )
+
+    def _places(self, names: Sequence[str]) -> list[int]:
+        own = self.parameters.names
+        return [own.index(name) for name in names]
+
     @classmethod
     def from_record(cls, record: Mapping[str, object]) -> ActiveSet:
         """Return the active set in a parameter set's record.
@@ -52,15 +85,21 @@ class ActiveSet:
         InputError
             The record lacks what a parameter set has.
         """
+        parameters = Parameters.from_record(record)
+        if len(parameters.regressors) > 1 and "parameter_names" not in record:
+            raise InputError("the record is no parameter set: no parameter_names, which the covariance is ordered by")
         try:
-            values, statistics = record["parameters"], record["statistics"]
-            if not isinstance(values, Mapping) or not isinstance(statistics, Mapping):
-                raise InputError("the record is no parameter set: parameters and statistics are not mappings")
-            bias, scale, angles = (np.array(values[group], np.float64) for group in _PRIOR)
-            clock = values.get("time_offset_s")
-            slopes = {name: np.array(slope, np.float64) for name, slope in dict(values.get("regressors", {})).items()}
-            parameters = Parameters(bias, scale, angles, None if clock is None else float(clock), slopes)
+            statistics = record["statistics"]
+            if not isinstance(statistics, Mapping):
+                raise InputError("the record is no parameter set: statistics are not a mapping")
             covariance = np.array(record["covariance"], np.float64)
+            slopes = parameters.regressors
+            if any(map(is_step, slopes)):
+                # What the bias was before a step inside its own data says nothing of others.
+                told = [not name.startswith(f"regressors.{BEFORE}") for name in parameters.names]
+                covariance = covariance[np.ix_(told, told)]
+                kept = {name: slope for name, slope in slopes.items() if not is_step(name)}
+                parameters = replace(parameters, regressors=kept)
             rms_nt = float(statistics["after"]["rms_nt"])
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"the record is no parameter set: {error}") from error
@@ -75,12 +114,15 @@ class SessionMoments:
     ----------
     at : the parameters (without clock) that the sums were taken at.
     blocks : scores and normal matrices of short blocks, in those parameters.
+    noise_score : shape (p,)
+        What noise of 1 nT in each component adds to the sum of the scores in the mean, 1/nT^2.
     samples, duration_s, cost, mean_nt, rms_nt, mean_field_nt
         Count; time that they cover, s; sum of squares, nT^2; mean and RMS of the residual, and mean |B|, nT.
     """
 
     at: Parameters
     blocks: BlockScores
+    noise_score: Floats
     samples: int
     duration_s: float
     cost: float
@@ -155,6 +197,7 @@ def moments_of(observations: Observations, parameters: Parameters, *, is_vector:
     return SessionMoments(
         at=at,
         blocks=blocks,
+        noise_score=_noise_score(o, at, whole.gradient, is_vector=is_vector),
         samples=int(np.count_nonzero(used)),
         duration_s=covered_s(o.t_s),
         cost=whole.cost,
@@ -162,6 +205,26 @@ def moments_of(observations: Observations, parameters: Parameters, *, is_vector:
         rms_nt=float(np.sqrt(np.mean(r[used] ** 2))),
         mean_field_nt=float(o.b_nt[used].mean()),
     )
+
+
+def _noise_score(o: Observations, at: Parameters, score: Floats, *, is_vector: bool) -> Floats:
+    """Return what noise of 1 nT in each component adds to the sum of scores, of ``score`` now, in the mean.
+
+    Notes
+    -----
+    1/2 sum over axes of the second derivative of the score by the reading, by differences. |B| is not linear in the
+    reading: where a session hardly shows a combination of parameters, noise moves it the same way in every sample. The
+    residual of a vector calibration is linear, its derivatives have no noise.
+    """
+    if is_vector:
+        return np.zeros_like(score)
+    step_nt = _NOISE_STEP * float(o.b_nt.mean())
+    total = np.zeros_like(score)
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            moved = replace(o, h_nt=o.h_nt + sign * step_nt * np.eye(3)[axis])
+            total += equations_at(moved, at, is_vector=False).gradient - score
+    return np.asarray(0.5 * total / step_nt**2)
 
 
 def judge_session(observations: Observations, active: ActiveSet) -> SessionJudgement:
@@ -185,9 +248,10 @@ def judge_moments(moments: SessionMoments, active: ActiveSet) -> SessionJudgemen
     if moments.samples < MIN_SAMPLES:
         reason = Reason("insufficient_samples", f"{moments.samples} samples, {MIN_SAMPLES} are needed")
         return _judgement("too_short", (reason,), moments, active, _Drift((), 0.0, 0.0, 1.0))
-    step, covariance = _step(moments)
-    total = covariance + active.covariance[:p, :p]
-    drifts = differences_of(moments.at.names, step, total, "session")
+    rows = moments.samples * (3 if active.is_vector else 1)
+    step, covariance = _step(moments, rows)
+    total = covariance + active.covariance_of(moments.at.names)
+    drifts = differences_of(moments.at.names, step, total, "session", _freedom(covariance, total, rows - p))
     size_nt, error_nt = field_change(moments.at, moments.mean_field_nt, step, total)
     drift = _Drift(drifts, size_nt, error_nt, min(1.0, p * drifts[0].p_value))
     reasons, grade = _reasons(moments, active, drift)
@@ -225,8 +289,20 @@ def _ratio(moments: SessionMoments, active: ActiveSet) -> float:
     return moments.rms_nt / max(active.residual_rms_nt, 1e-9 * moments.mean_field_nt)
 
 
-def _step(moments: SessionMoments) -> tuple[Floats, Floats]:
-    """Return the Gauss-Newton step and its honest covariance."""
+def _freedom(own: Floats, total: Floats, rows: int) -> Floats:
+    """Return the degrees of freedom of each error of ``total``, of which the part ``own`` has ``rows`` of them.
+
+    Notes
+    -----
+    Welch and Satterthwaite, (sum of variances)^2 / sum of (variance^2 / freedom), with the active set's own variance
+    taken for known: a session of 12 samples has three residuals to tell its noise from, and a drift of nine parameters
+    that is believed once in a thousand is then one of 28 standard errors, not of 4.
+    """
+    return np.asarray(max(rows, 1) * (np.diag(total) / np.maximum(np.diag(own), 1e-300)) ** 2)
+
+
+def _step(moments: SessionMoments, rows: int) -> tuple[Floats, Floats]:
+    """Return the Gauss-Newton step and its honest covariance; ``rows``: number of residuals."""
     blocks = moments.blocks
     normal, gradient = blocks.normals.sum(axis=0), blocks.scores.sum(axis=0)
     p = gradient.size
@@ -235,12 +311,12 @@ def _step(moments: SessionMoments) -> tuple[Floats, Floats]:
     widths = np.array([(dict(_PRIOR) | slopes)[group] for group in groups])
     loose = np.diag(1.0 / widths**2)
     # The residual's variance enters the prior's weight, and the prior hardly enters the variance: two rounds settle it.
-    variance, step = moments.cost / moments.samples, np.zeros(p)
+    variance, step = moments.cost / rows, np.zeros(p)
     for _ in range(2):
         total = normal + variance * loose
         step = -_solve(total, gradient)
         left = moments.cost + 2.0 * gradient @ step + step @ normal @ step
-        variance = max(float(left) / max(moments.samples - p, 1), 1e-12 * moments.cost / moments.samples, 1e-300)
+        variance = max(float(left) / max(rows - p, 1), 1e-12 * moments.cost / rows, 1e-300)
     inverse = _solve(total, np.eye(p))
     after = blocks.scores + blocks.normals @ step
     settled = BlockScores(
@@ -249,7 +325,9 @@ def _step(moments: SessionMoments) -> tuple[Floats, Floats]:
         np.concatenate([blocks.starts, [moments.samples]]),
         np.eye(p),
     )
-    return step, honest_covariance(settled, inverse * variance, moments.samples, moments.duration_s).covariance
+    honest = honest_covariance(settled, inverse * variance, moments.samples, moments.duration_s).covariance
+    shift = inverse @ moments.noise_score * variance
+    return step, honest + np.outer(shift, shift)
 
 
 def _solve(normal: Floats, right: Floats) -> Floats:
@@ -260,51 +338,22 @@ def _solve(normal: Floats, right: Floats) -> Floats:
 
 
 def differences_of(
-    names: Sequence[str], step: Floats, covariance: Floats, second: str
+    names: Sequence[str], step: Floats, covariance: Floats, second: str, freedom: Floats | None = None
 ) -> tuple[ParameterDifference, ...]:
-    """Return the ``step`` from the active parameters to those of ``second``, the most significant first."""
-    from scipy.special import ndtr
+    """Return the ``step`` from the active parameters to those of ``second``, the most significant first.
+
+    ``freedom``: degrees of freedom of each error, shape (p,), for Student's t; the normal law unless given.
+    """
+    from scipy.special import ndtr, stdtr
 
     errors = np.sqrt(np.diag(covariance))
+    sigmas = np.abs(step) / np.maximum(errors, 1e-300)
+    tails = 2.0 * (ndtr(-sigmas) if freedom is None else stdtr(freedom, -sigmas))
     found = [
-        ParameterDifference(name, "active", second, float(d), float(e), float(2.0 * ndtr(-abs(d) / max(e, 1e-300))))
-        for name, d, e in zip(names, step, errors, strict=True)
+        ParameterDifference(name, "active", second, float(d), float(e), float(p))
+        for name, d, e, p in zip(names, step, errors, tails, strict=True)
     ]
-    return tuple(sorted(found, key=lambda one: -one.sigmas))
-
-
-def field_change(at: Parameters, mean_field_nt: float, step: Floats, covariance: Floats) -> tuple[float, float]:
-    """Return the change of the corrected field by ``step`` and its error, nT, root mean square over directions.
-
-    ``step`` and ``covariance``: in the order of `Parameters.names`, of which the first nine count.
-    """
-    b_nt = mean_field_nt * _sphere()
-    angles_deg, scale = at.nonorthogonality_deg, at.scale
-    matrix = matrix_of_parameters(scale, np.deg2rad(angles_deg))
-    inverse = np.linalg.inv(matrix)
-    columns = [np.tile(inverse[:, i], (len(b_nt), 1)) for i in range(3)]
-    for i in range(3):
-        row = np.zeros((3, 3))
-        row[i] = matrix[i] / scale[i]
-        columns.append(b_nt @ (inverse @ row).T)
-    for i in range(3):
-        nudged = angles_deg.copy()
-        nudged[i] += 1e-3
-        slope = (matrix_of_parameters(scale, np.deg2rad(nudged)) - matrix) / 1e-3
-        columns.append(b_nt @ (inverse @ slope).T)
-    jacobian = np.stack(columns, axis=-1).reshape(-1, 9)
-    count = len(b_nt)
-    size = float(np.sqrt(np.sum((jacobian @ step[:9]) ** 2) / count))
-    error = float(np.sqrt(max(np.einsum("ij,jk,ik->", jacobian, covariance[:9, :9], jacobian), 0.0) / count))
-    return size, error
-
-
-def _sphere() -> Floats:
-    turns = np.arange(_DIRECTIONS) + 0.5
-    z = 1.0 - 2.0 * turns / _DIRECTIONS
-    angle = turns * np.pi * (1.0 + np.sqrt(5.0))
-    radius = np.sqrt(1.0 - z**2)
-    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), z])
+    return tuple(sorted(found, key=lambda one: (one.p_value, -one.sigmas)))
 
 
 def _reasons(moments: SessionMoments, active: ActiveSet, drift: _Drift) -> tuple[list[Reason], str]:

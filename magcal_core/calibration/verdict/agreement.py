@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from magcal_core.arrays import Floats
 from magcal_core.calibration.sessions.consistency import ParameterDifference
-from magcal_core.calibration.sessions.monitoring import (
-    MATERIAL_SHARE,
-    SIGNIFICANT_P,
-    ActiveSet,
-    differences_of,
-    field_change,
-)
+from magcal_core.calibration.sessions.field_change import field_change
+from magcal_core.calibration.sessions.monitoring import MATERIAL_SHARE, SIGNIFICANT_P, ActiveSet, differences_of
 from magcal_core.sensor.parameters import Parameters
+from magcal_core.sensor.regressors import is_step
 
-_COMPARED = 9
+_COMPARED: Final = 9
 """Bias, scale factors and angles: a clock belongs to the orbit, and regressors move the bias."""
 
 
@@ -76,23 +73,28 @@ def agreement_with(
 ) -> Agreement | None:
     """Return how ``parameters`` differ from the ``active`` ones; None where the two cannot be compared.
 
-    They cannot where one is of a vector method and the other is not, where the regressors are others, and where one has
-    no errors.
+    They cannot where one is of a vector method and the other is not, where the regressors are others, where one has no
+    errors, and where one alone says since when it drifts.
 
     ``covariance``: honest, shape (p, p), in the order of `Parameters.names`.
 
     Notes
     -----
     The axes of a vector calibration are those of the attitude, of a scalar one its own; and a bias beside other
-    regressors is the bias at other values of them.
+    regressors is the bias at other values of them. Only what both have is compared: one may have a clock that the
+    other lacks, and their regressors may stand in another order.
     """
-    if is_vector is not active.is_vector or set(parameters.regressors) != set(active.parameters.regressors):
+    if is_vector is not active.is_vector or _kind(parameters) != _kind(active.parameters):
         return None
-    step = (parameters.vector - active.parameters.vector[: len(parameters.vector)])[:_COMPARED]
-    both = covariance[:_COMPARED, :_COMPARED] + active.covariance[:_COMPARED, :_COMPARED]
+    if parameters.follows_time and (parameters.time_base_utc is None) is not (active.parameters.time_base_utc is None):
+        return None
+    active = active.at_time_base(parameters.time_base_utc)
+    names = parameters.names[:_COMPARED]
+    step = parameters.vector[:_COMPARED] - active.values_of(names)
+    both = covariance[:_COMPARED, :_COMPARED] + active.covariance_of(names)
     if not np.isfinite(both).all():
         return None
-    differences = differences_of(parameters.names[:_COMPARED], step, both, "new")
+    differences = differences_of(names, step, both, "new")
     size_nt, error_nt = field_change(active.parameters, mean_field_nt, step, both)
     return Agreement(
         differences,
@@ -101,3 +103,8 @@ def agreement_with(
         max(active.residual_rms_nt, MATERIAL_SHARE * mean_field_nt),
         min(1.0, _COMPARED * differences[0].p_value),
     )
+
+
+def _kind(parameters: Parameters) -> set[str]:
+    """Return the regressors that make the bias another one; a step inside the data does not: it is that after it."""
+    return {name for name in parameters.regressors if not is_step(name)}

@@ -155,11 +155,9 @@ def _variation(observations: Observations, fit: Fit) -> float:
 
 
 def _misaligned_deg(fit: Fit) -> float:
-    """Return the turn, deg, that the fit warns of; 0 where it does not."""
-    full = fit.extras.get("full_matrix")
-    if not isinstance(full, Mapping) or not any(warning.startswith("misaligned") for warning in fit.warnings):
-        return 0.0
-    return float(full["rotation_deg"])
+    """Return the turn of the reference that the fit has found, deg; 0 where there is none."""
+    full = fit.full_matrix
+    return full.angle_deg if full is not None and full.is_misaligned else 0.0
 
 
 def _at_mean(fit: Fit, errors: Parameters, observations: Observations, honest: HonestCovariance) -> Parameters:

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from magcal_core.arrays import Floats
 from magcal_core.calibration.observability.information import UNOBSERVABLE_BELOW, WEAK_BELOW
 from magcal_core.calibration.reasons import Reason, Verdict
 from magcal_core.calibration.residuals import ResidualStatistics
@@ -68,7 +69,13 @@ class Evidence:
 
 def judge(evidence: Evidence) -> Verdict:
     """Return the verdict: ``refuse`` where one reason refuses, else ``weak`` where one weakens, else ``accept``."""
-    found = [*_observability(evidence), *_errors(evidence), *_residuals(evidence), *_circumstances(evidence)]
+    found = [
+        *_not_finite(evidence),
+        *_observability(evidence),
+        *_errors(evidence),
+        *_residuals(evidence),
+        *_circumstances(evidence),
+    ]
     grades = {grade for grade, _ in found}
     grade = "refuse" if "refuse" in grades else "weak" if "weak" in grades else "accept"
     if not found:
@@ -82,11 +89,41 @@ _Found = list[tuple[str, Reason]]
 
 
 def _graded(value: float, limits: Limits, code: str, text: str) -> _Found:
-    if not value >= limits.weak:
+    if not np.isfinite(value):
+        # A comparison with NaN is false whichever way it is written: a NaN must not pass for a good figure.
+        return [("refuse", Reason(code, f"{text}: not a finite number"))]
+    if value < limits.weak:
         return []
     refused = value >= limits.refuse
     limit = limits.refuse if refused else limits.weak
     return [("refuse" if refused else "weak", Reason(code, f"{text}, limit {limit:g}"))]
+
+
+def _not_finite(evidence: Evidence) -> _Found:
+    """Refuse where any figure that the verdict is based on is not a finite number; its limits cannot be asked then."""
+    agreement = evidence.agreement
+    figures: dict[str, float | Floats | None] = {
+        "observability index": evidence.index,
+        "parameters": evidence.parameters.vector,
+        "standard errors": evidence.standard_errors.vector,
+        "mean field": evidence.mean_field_nt,
+        "variation of the field": evidence.field_variation,
+        "residual before": _figures_of(evidence.before),
+        "residual after": _figures_of(evidence.after),
+        "residual on unseen data": evidence.cross_validated_rms_nt,
+        "share of rejected samples": evidence.rejected_share,
+        "age of the orbit": evidence.orbit_age_days,
+        "turn of the reference": evidence.misaligned_deg,
+        "change against the set in force": None
+        if agreement is None
+        else np.array([agreement.p_value, agreement.field_change_nt, agreement.limit_nt]),
+    }
+    bad = [name for name, value in figures.items() if value is not None and not np.isfinite(value).all()]
+    return [("refuse", Reason("not_finite", f"not a finite number: {', '.join(bad)}"))] if bad else []
+
+
+def _figures_of(residual: ResidualStatistics) -> Floats:
+    return np.array([residual.mean_nt, residual.std_nt, residual.rms_nt])
 
 
 def _observability(evidence: Evidence) -> _Found:

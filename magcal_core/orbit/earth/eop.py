@@ -20,6 +20,9 @@ _FLAG: Final = 57
 _XP_ARCSEC: Final = (slice(134, 144), slice(18, 27))
 _YP_ARCSEC: Final = (slice(144, 154), slice(37, 46))
 _UT1_UTC_S: Final = (slice(154, 165), slice(58, 68))
+UT1_ERROR_S: Final = 0.00025
+UT1_ERROR_POWER: Final = 0.75
+"""Error of predicted UT1, s = 0.00025 days^0.75, as every Bulletin A states it [IERSA]_."""
 _RAD_PER_ARCSEC: Final = np.pi / 648000.0
 
 
@@ -54,6 +57,12 @@ class EarthOrientation:
     def last(self) -> np.datetime64:
         """Last instant of the table, UTC; later than `predicted_from`."""
         return np.datetime64(self.start_ns + (len(self.ut1_tai_s) - 1) * NS_PER_DAY, "ns")
+
+    def predicted_days(self, t_utc: Times) -> float:
+        """Return how far, days, the latest of ``t_utc`` lies beyond the last measured value; 0 where none does."""
+        stamps = nanoseconds(t_utc)
+        last_ns = int(nanoseconds(np.array([self.predicted_from]))[0]) - NS_PER_DAY
+        return max(0.0, (int(stamps.max()) - last_ns) / NS_PER_DAY) if stamps.size else 0.0
 
     def check(self, t_utc: Times) -> None:
         """Refuse times outside the table.
@@ -102,6 +111,11 @@ class EarthOrientation:
         """Return the Julian date of ``t_utc`` in UT1 as whole day and fraction, each of shape (n,)."""
         day, fraction = julian_utc(t_utc)
         return day, fraction + self.ut1_minus_utc_s(t_utc) / 86400.0
+
+
+def ut1_prediction_error_s(days: float) -> float:
+    """Return the standard error of UT1 predicted ``days`` ahead, s: 1.4 ms after 10 days [IERSA]_."""
+    return float(UT1_ERROR_S * days**UT1_ERROR_POWER)
 
 
 @lru_cache(maxsize=1)

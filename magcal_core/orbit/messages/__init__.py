@@ -1,0 +1,1 @@
+"""Orbit messages: text to elements, states and ephemerides; `forms` is the registry."""

@@ -15,14 +15,9 @@ from magcal_core.numerics.interpolation import StateTable
 from magcal_core.orbit.earth.frames import Frame, State, convert_position, convert_state
 from magcal_core.orbit.earth.timescales import nanoseconds
 from magcal_core.orbit.messages.epochs import TIME_SYSTEMS, parse_epoch, to_utc
+from magcal_core.orbit.messages.frames_of_date import in_known_frame, known_frames
+from magcal_core.orbit.messages.interpolation_check import REFUSED_KM, Interpolation, best_interpolation
 from magcal_core.orbit.messages.kvn import KvnLine, find_all, kvn_lines, leaves, parse_xml
-
-FRAME_OF_OEM: Final[Mapping[str, Frame]] = {
-    "GCRF": "GCRF", "ICRF": "GCRF", "GCRS": "GCRF", "EME2000": "EME2000", "J2000": "EME2000", "TEME": "TEME",
-    "ITRF": "ITRF", "ITRF-93": "ITRF", "ITRF-97": "ITRF", "ITRF2000": "ITRF", "ITRF2005": "ITRF", "ITRF2008": "ITRF",
-    "ITRF2014": "ITRF", "ITRF2020": "ITRF", "ITRF1993": "ITRF", "ITRF1997": "ITRF",
-}  # fmt: skip
-"""Reference frames that an ephemeris may be in; the ITRFs of different years are centimetres apart."""
 
 MAX_STATES: Final = 500_000
 DEFAULT_DEGREE: Final = 7
@@ -34,7 +29,10 @@ _MAX_DEGREE: Final = 31
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segment:
-    """One stretch of an ephemeris: nodes in one frame, and the times at which it may be used."""
+    """One stretch of an ephemeris: nodes in one frame, the times at which it may be used, how it is interpolated.
+
+    ``checked`` says how far interpolation is off; None where that was not looked at.
+    """
 
     frame: Frame
     table: StateTable
@@ -42,6 +40,7 @@ class Segment:
     stop_ns: int
     interpolation: str
     degree: int
+    checked: Interpolation | None = None
 
     def state(self, stamps_ns: NDArray[np.int64]) -> State:
         """Return position, km, and velocity, km/s, each of shape (n, 3), in the segment's frame."""
@@ -106,6 +105,19 @@ class OemOrbit:
             state = segment.state(nanoseconds(t_utc[rows]))
             r_gcrf_km[rows], v_gcrf_km_s[rows] = convert_state(t_utc[rows], *state, segment.frame, "GCRF")
         return r_gcrf_km, v_gcrf_km_s
+
+    def interpolation_error_km(self, t_utc: Times) -> Floats:
+        """Return how far interpolation between the points is off at the most about each time, km, shape (n,).
+
+        0 outside the segments.
+        """
+        stamps = nanoseconds(t_utc)
+        index, errors_km = self._segment_of(stamps), np.zeros(len(stamps))
+        for i, segment in enumerate(self.segments):
+            rows = index == i
+            if segment.checked is not None:
+                errors_km[rows] = segment.checked.error_km(stamps[rows])
+        return errors_km
 
     def _segment_of(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.intp]:
         index = np.full(len(stamps_ns), -1, np.intp)
@@ -192,24 +204,35 @@ def _xml_segments(text: str, faults: list[Fault]) -> list[Part]:
 def _segment(meta: Mapping[str, str], rows: Sequence[Row], where: str, faults: list[Fault]) -> Segment | None:
     before = len(faults)
     faults.extend(Fault(f"{where}, {key}", "is missing") for key in _KEYS if not meta.get(key))
-    frame = FRAME_OF_OEM.get(meta.get("REF_FRAME", "").upper())
-    if meta.get("REF_FRAME") and frame is None:
-        faults.append(Fault(f"{where}, REF_FRAME", f"want one of {', '.join(FRAME_OF_OEM)}", meta["REF_FRAME"]))
+    name = meta.get("REF_FRAME", "").upper()
+    if name and name not in known_frames():
+        faults.append(Fault(f"{where}, REF_FRAME", f"want one of {', '.join(known_frames())}", meta["REF_FRAME"]))
     if meta.get("CENTER_NAME", "EARTH").upper() != "EARTH":
         faults.append(Fault(f"{where}, CENTER_NAME", "want EARTH", meta["CENTER_NAME"]))
     system = meta.get("TIME_SYSTEM", "UTC").upper()
     if system not in TIME_SYSTEMS:
         faults.append(Fault(f"{where}, TIME_SYSTEM", f"want one of {', '.join(TIME_SYSTEMS)}", system))
     states = _states(rows, faults)
-    if len(faults) > before or frame is None:
+    if len(faults) > before:
         return None
     epochs, numbers = states
-    table = StateTable(nanoseconds(to_utc(epochs, system)), numbers[:, :3].copy(), numbers[:, 3:6].copy())
+    t_utc = to_utc(epochs, system)
+    frame, r_km, v_km_s = in_known_frame(name, t_utc, numbers[:, :3].copy(), numbers[:, 3:6].copy())
+    table = StateTable(nanoseconds(t_utc), r_km, v_km_s)
     method, degree = _method(meta, len(rows), where, faults)
     span = _span(meta, system, table, where, faults)
     if len(faults) > before:
         return None
-    return Segment(frame, table, *span, method, degree)
+    found = best_interpolation(table, method, degree)
+    if found.typical_km > REFUSED_KM:
+        step_s = float(np.median(np.diff(table.stamps_ns))) / 1e9
+        why = (
+            f"interpolation ({method} {degree}) between its points, {step_s:g} s apart, is {found.typical_km:.2g} km "
+            f"off; limit {REFUSED_KM:g} km: send points closer together, or velocities that are those of the positions"
+        )
+        faults.append(Fault(where, why))
+        return None
+    return Segment(frame, table, *span, found.method, found.degree, found)
 
 
 def _states(rows: Sequence[Row], faults: list[Fault]) -> tuple[Times, Floats]:

@@ -149,11 +149,23 @@ def _from_xml(text: str) -> Sequence[Mapping[str, str]]:
 
 
 def _from_csv(text: str) -> Sequence[Mapping[str, str]]:
-    rows = csv.DictReader(io.StringIO(text.removeprefix("\ufeff")))
+    rows = csv.DictReader(io.StringIO(text.removeprefix("\ufeff")), skipinitialspace=True)
+    width = len(rows.fieldnames or ())
+    records: list[Mapping[str, str]] = []
+    faults: list[Fault] = []
     try:
-        return [{key: value or "" for key, value in row.items() if isinstance(key, str)} for row in rows]
+        for row in rows:
+            given = {key.strip(): value for key, value in row.items() if isinstance(key, str) and value is not None}
+            if len(given) < width or None in row:
+                cells = len(given) + len(row.get(None) or ())
+                faults.append(Fault(f"line {rows.line_num}", f"{cells} cells, the header has {width}"))
+            records.append(given)
     except csv.Error as error:
         raise OrbitFormatError("the OMM is not CSV", [Fault(f"line {rows.line_num}", str(error))]) from error
+    if faults:
+        more = f" and {len(faults) - 1} more" if len(faults) > 1 else ""
+        raise OrbitFormatError(f"OMM in CSV, {faults[0].where}: {faults[0].why}{more}", faults)
+    return records
 
 
 def _from_kvn(text: str) -> Sequence[Mapping[str, str]]:
@@ -181,6 +193,7 @@ def _omm(record: Mapping[str, str], where: str, faults: list[Fault]) -> Omm | No
     before = len(faults)
     for key, known in _FIXED.items():
         value = record.get(key, "").strip().upper()
+        value = value.lstrip("+") if key == "EPHEMERIS_TYPE" else value
         if value and value not in known:
             faults.append(Fault(f"{where}, {key}", f"want {' or '.join(known)}", record[key]))
     values = {key: _number(record, key, limits, where, faults) for key, limits in _NUMBERS.items()}

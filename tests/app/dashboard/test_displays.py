@@ -29,7 +29,7 @@ def paths(mission) -> list[str]:
         f"/figures/compare?first={mission.first}&second={mission.second}",
         *(f"/parameter-sets/{mission.first}/figures/{name}" for name in SET_FIGURES),
         *(f"/sessions/{mission.session}/figures/{name}" for name in SESSION_FIGURES),
-        *(f"/satellites/{mission.satellite}/figures/{name}" for name in HISTORY_FIGURES),
+        *(f"/satellites/{mission.satellite}/figures/{name}" for name in HISTORY_FIGURES if name != "trend"),
     ]
 
 

@@ -2,10 +2,19 @@
 
 import json
 import time
+from datetime import UTC, datetime, timedelta
 
 import pytest
+from sqlalchemy import select
 
-from magcal_core.simulation.dekart_mission import tle_text
+from app.access.caller import SYSTEM
+from app.orbits.nearest import chosen
+from app.orbits.repository import OrbitRepository
+from app.orbits.tables import OrbitRow
+from magcal_core.errors import OptionError
+from magcal_core.orbit.messages.tle import checksum
+from magcal_core.simulation.dekart_mission import SESSIONS, simulated, tle_text
+from magcal_core.telemetry import write_samples
 
 TEXT = {"content-type": "text/plain"}
 STATE = {
@@ -133,6 +142,31 @@ def test_the_tles_of_a_mission_are_kept_at_once(api, satellite):
     assert epochs == sorted(epochs)
 
 
+def test_a_long_session_is_served_by_all_its_tles(api, service, satellite):
+    """1,500 TLEs over two years, a session over nearly all of them: each is the nearest to some of the data."""
+    send(api, satellite, mission_tles(1500))
+    begin, end = datetime(2021, 3, 1, tzinfo=UTC), datetime(2022, 11, 1, tzinfo=UTC)
+    with service.database.read() as session:
+        orbits = OrbitRepository(session, SYSTEM, satellite)
+        rows = orbits.around(begin, end, 14.0)
+        every = {
+            row.id: row.epoch for row in session.scalars(select(OrbitRow).where(OrbitRow.satellite_id == satellite))
+        }
+        inside = {one for one, epoch in every.items() if begin <= epoch <= end}
+        assert len(inside) > 1000
+        assert inside <= {row.id for row in rows}
+        for at in (begin, end, begin - timedelta(hours=12), end + timedelta(hours=12)):
+            assert chosen(rows, at).epoch == min(every.values(), key=lambda epoch: abs(epoch - at))
+
+
+def test_more_orbits_than_a_calibration_takes_are_refused_and_not_cut(api, service, satellite, monkeypatch):
+    send(api, satellite, mission_tles(40))
+    monkeypatch.setattr("app.orbits.repository.MOST_STATES", 10)
+    with service.database.read() as session, pytest.raises(OptionError, match="more than 10 TLEs serve the data"):
+        orbits = OrbitRepository(session, SYSTEM, satellite)
+        orbits.around(datetime(2021, 1, 1, tzinfo=UTC), datetime(2022, 12, 31, tzinfo=UTC), 14.0)
+
+
 def test_an_orbit_that_stands_twice_in_a_message_is_kept_once(api, satellite):
     content = mission_tles(2) + mission_tles(2)
     answer = api.post(f"/satellites/{satellite}/orbits", content=content, headers={"content-type": "text/plain"})
@@ -140,3 +174,69 @@ def test_an_orbit_that_stands_twice_in_a_message_is_kept_once(api, satellite):
     assert answer.status_code == 201
     assert ids[:2] == ids[2:]
     assert len(set(ids)) == 2
+
+
+def test_an_orbit_of_another_object_is_refused_unless_it_is_forced(api, names):
+    """DEKART's TLEs for a satellite of another NORAD id, of another COSPAR id, and of its own in another writing."""
+    for ids, said in (({"norad_id": "25544"}, "NORAD id 46493, the satellite's is 25544"),
+                      ({"cospar_id": "1998-067A"}, "COSPAR id 2020-068H, the satellite's is 1998-067A")):  # fmt: skip
+        name = next(names)
+        api.post("/satellites", json={"id": name} | ids).raise_for_status()
+        send = {"content": tle_text(), "headers": {"content-type": "text/plain"}}
+        refused = api.post(f"/satellites/{name}/orbits", **send)
+        assert (refused.status_code, refused.json()["code"]) == (409, "other_object")
+        assert said in refused.json()["detail"]
+        assert "force=true" in refused.json()["detail"]
+        assert api.get(f"/satellites/{name}/orbits").json()["items"] == []
+        assert api.post(f"/satellites/{name}/orbits", params={"force": "true"}, **send).status_code == 201
+    name = next(names)
+    api.post("/satellites", json={"id": name, "norad_id": "046493", "cospar_id": "20068H"}).raise_for_status()
+    assert api.post(f"/satellites/{name}/orbits", **send).status_code == 201
+
+
+def test_a_server_message_sent_as_an_orbit_is_called_so(api, satellite):
+    for content, kind in (("No GP data found", "text/plain"), ('{"error": "log in"}', "application/json")):
+        answer = api.post(f"/satellites/{satellite}/orbits", content=content, headers={"content-type": kind})
+        assert (answer.status_code, answer.json()["code"]) == (422, "orbit_format")
+        assert "this is a server's message, not an orbit" in answer.json()["detail"]
+
+
+def ended(api, job_id: str) -> dict:
+    deadline = time.monotonic() + 120.0
+    while (job := api.get(f"/jobs/{job_id}").json())["state"] not in ("succeeded", "failed", "cancelled"):
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    return job
+
+
+def test_an_orbit_of_another_object_that_was_forced_is_named_by_the_calibration(api, names):
+    name = next(names)
+    api.post("/satellites", json={"id": name, "norad_id": "25544"}).raise_for_status()
+    api.post(f"/satellites/{name}/magnetometers", json={"id": "mgm", "unit": "nT"}).raise_for_status()
+    send = {"content": tle_text(), "headers": {"content-type": "text/plain"}, "params": {"force": "true"}}
+    api.post(f"/satellites/{name}/orbits", **send).raise_for_status()
+    content = write_samples(simulated(SESSIONS[0], 200).samples, "csv")
+    sent = api.post(f"/satellites/{name}/sessions", content=content, params={"magnetometer": "mgm"})
+    job = api.post("/jobs", json={"kind": "calibration", "session_ids": [sent.json()["id"]]}).json()
+    done = ended(api, job["id"])
+    record = api.get(f"/parameter-sets/{done['result']['parameter_set_id']}").json()
+    (warning,) = [one for one in record["warnings"] if one.startswith("orbit_of_another_object")]
+    assert warning.endswith("NORAD id 46493, the satellite's is 25544")
+
+
+def test_a_session_tells_which_object_of_a_launch_it_is_of(api, satellite):
+    first, second = (next(line for line in tle_text().splitlines() if line.startswith(f"{kind} ")) for kind in "12")
+    launch = ""
+    for number, ahead_deg in ((50001, -1.0), (50002, 0.0), (50003, 1.0)):
+        anomaly = (float(second[43:51]) + ahead_deg) % 360.0
+        lines = (f"1 {number}{first[7:68]}", f"2 {number}{second[7:43]}{anomaly:8.4f}{second[51:68]}")
+        launch += "".join(f"{line}{checksum(line)}\n" for line in lines)
+    content = write_samples(simulated(SESSIONS[0], 200).samples, "csv")
+    session = api.post(f"/satellites/{satellite}/sessions", content=content, params={"magnetometer": "mgm"}).json()
+    answer = api.post(f"/sessions/{session['id']}/which-object", content=launch, headers=TEXT)
+    assert answer.status_code == 200
+    assert (answer.json()["state"], answer.json()["objects"][0]["norad_id"]) == ("told", "50002")
+    assert (
+        api.post("/sessions/0123456789abcdef0123456789abcdef/which-object", content=launch, headers=TEXT).status_code
+        == 404
+    )

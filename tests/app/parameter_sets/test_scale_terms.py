@@ -44,6 +44,20 @@ def test_a_correction_takes_the_terms_off_and_puts_them_back():
     np.testing.assert_allclose(Correction.of(RECORD).unapply(corrected).h_nt, samples.h_nt, rtol=0.0, atol=1e-9)
 
 
+def test_a_drift_with_time_is_taken_off_since_its_own_time_base():
+    """Six hours after the time base 10 nT/h are 60 nT and more, in a correction and in the formula of an export."""
+    samples, made = warmed()
+    base = samples.t_utc[0] - np.timedelta64(6, "h")
+    hours = 6.0 + (samples.t_utc - samples.t_utc[0]) / np.timedelta64(1, "h")
+    slope = np.array([10.0, 0.0, -4.0])
+    parameters = {**RECORD["parameters"], "regressors": {"time": slope.tolist()}, "time_base_utc": f"{base}Z"}
+    drifted = replace(made.samples, h_nt=made.samples.h_nt + hours[:, None] * slope)
+    corrected = Correction.of({"parameters": parameters}).apply(drifted)
+    np.testing.assert_allclose(corrected.h_nt, SESSIONS[1].sensor.correct(made.samples.h_nt), atol=1e-7)
+    text = formula("exact", ["time"], is_since=True)
+    assert "regressors.time * (hours since time_base_utc)" in text
+
+
 def test_telemetry_without_the_column_is_refused():
     samples, _ = warmed()
     with pytest.raises(TelemetryFormatError) as refused:

@@ -22,8 +22,8 @@ import httpx2
 import pytest
 
 from app.cli.push import shown
+from app.client.folder import put_aside
 from app.client.requests import pause_s
-from app.client_folder import put_aside
 from app.maintenance.audit import audit
 
 WAIT_S = 60.0

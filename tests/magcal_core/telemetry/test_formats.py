@@ -85,11 +85,23 @@ def test_a_format_is_told_by_its_first_bytes(kind: str, samples: Samples) -> Non
     assert_same(read_samples(io.BytesIO(body)), samples)
 
 
-@pytest.mark.parametrize("kind", FORMATS)
+@pytest.mark.parametrize("kind", ["json", "parquet"])
 def test_a_file_cut_short_is_refused(kind: str, samples: Samples) -> None:
     body = write_samples(samples, kind)
     with pytest.raises(InputError):
         read_samples(body[: len(body) * 2 // 3], format=kind)
+
+
+@pytest.mark.parametrize("kind", ["csv", "ndjson"])
+def test_of_a_file_cut_short_that_has_a_line_a_row_the_last_row_is_lost_and_counted(
+    kind: str, samples: Samples
+) -> None:
+    body = write_samples(samples, kind)
+    cut = body[: len(body) * 2 // 3]
+    whole_rows = cut.count(b"\n") - (kind == "csv")
+    telemetry = read_telemetry(cut, format=kind, max_bad_fraction=0.2)
+    assert telemetry.quality.rows_unreadable == 1
+    assert_same(telemetry.samples, samples.take(slice(0, whole_rows)))
 
 
 @pytest.mark.parametrize("kind", FORMATS)

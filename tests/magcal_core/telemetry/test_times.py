@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from magcal_core.errors import OptionError, TimeError, TimeZoneMissingError
 from magcal_core.telemetry import read_samples, read_telemetry
-from magcal_core.telemetry.times import parse_iso_ns
+from magcal_core.telemetry.iso_times import parse_iso_ns
 
 ROW = ",30000,1,2\n"
 

@@ -147,12 +147,16 @@ def test_wrong_unit_is_refused_by_name(mission, method, factor, unit):
         fit(replace(samples, h_nt=samples.h_nt * factor), method)
 
 
-def test_rotated_reference_is_found_and_warned_of(mission):
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("robust", ["none", "tukey"])
+def test_rotated_reference_is_found_and_warned_of(mission, method, robust):
     """3 deg between the reference's frame and the sensor's: T = T_low R, R by LQ, tested."""
     flown = mission(n=1150)
     turn = np.deg2rad(3.0)
     rotation = np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
-    got = fit(replace(flown.samples, b_ref_base_nt=flown.samples.b_ref_base_nt @ rotation))
+    turned = replace(flown.samples, b_ref_base_nt=flown.samples.b_ref_base_nt @ rotation)
+    got = fit(turned, method, FitSettings(robust))
+    assert got.full_matrix.is_misaligned
     full = got.extras["full_matrix"]
     assert full["rotation_deg"] == pytest.approx(3.0, abs=0.05)
     assert full["p_value"] < 1e-9
@@ -160,7 +164,8 @@ def test_rotated_reference_is_found_and_warned_of(mission):
     assert [w for w in got.warnings if w.startswith("misaligned")]
 
 
-def test_aligned_reference_is_not_suspected(mission):
+@pytest.mark.parametrize("method", METHODS)
+def test_aligned_reference_is_not_suspected(mission, method):
     """p is uniform where the hypothesis holds: ten missions all above 0.001."""
     for seed in range(10):
-        assert fit(mission(seed=seed).samples).extras["full_matrix"]["p_value"] > 1e-3
+        assert fit(mission(seed=seed).samples, method).extras["full_matrix"]["p_value"] > 1e-3

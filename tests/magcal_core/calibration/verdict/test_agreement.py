@@ -56,6 +56,28 @@ def test_the_field_changes_by_what_the_two_corrections_differ(mission):
     assert agreement["field_change_nt"] == pytest.approx(change_nt, rel=0.05)
 
 
+@pytest.mark.parametrize("is_active_clocked", [False, True])
+def test_sets_of_which_one_alone_has_a_clock_are_compared(mission, is_active_clocked):
+    """Ten unknowns against nine, either way: the nine that both have, with the errors that each gives them."""
+    plain, other = calibrate(mission(seed=1).samples), calibrate(mission(seed=2).samples)
+    clocked = replace(plain.parameters, time_offset_s=0.3)
+    wide = np.zeros((10, 10))
+    wide[:9, :9], wide[9, 9], wide[9, :9], wide[:9, 9] = plain.covariance, 0.01, 1e-3, 1e-3
+    active, new = active_of(plain), (other.parameters, other.covariance)
+    if is_active_clocked:
+        active = replace(active, parameters=clocked, covariance=wide)
+    else:
+        active, new = active_of(other), (clocked, wide)
+    found = agreement_with(active, *new, 4e4, is_vector=False)
+    sign = 1.0 if is_active_clocked else -1.0
+    errors = np.sqrt(np.diag(plain.covariance + other.covariance))
+    steps = sign * (other.parameters.vector - plain.parameters.vector)
+    expected = dict(zip(plain.parameters.names, zip(steps, errors, strict=True), strict=True))
+    assert {one.parameter for one in found.differences} == set(expected)
+    for one in found.differences:
+        assert (one.difference, one.standard_error) == pytest.approx(expected[one.parameter], rel=1e-12)
+
+
 def test_what_cannot_be_compared_is_not(mission):
     scalar = calibrate(mission(seed=1).samples)
     active = active_of(scalar)

@@ -9,7 +9,7 @@ from astropy.time import Time
 from astropy.utils import iers
 
 from magcal_core.errors import ModelRangeError, TimeError
-from magcal_core.orbit.earth.eop import earth_orientation
+from magcal_core.orbit.earth.eop import earth_orientation, ut1_prediction_error_s
 from magcal_core.orbit.earth.timescales import julian_tt, julian_utc, nanoseconds, tai_minus_utc_s
 
 
@@ -62,6 +62,19 @@ def test_day_and_fraction_reach_the_last_day_of_the_table() -> None:
 def test_times_outside_the_table_are_refused_with_its_limits(when: str) -> None:
     with pytest.raises(ModelRangeError, match=r"1973-01-02 to 20\d\d-\d\d-\d\d"):
         earth_orientation().ut1_minus_utc_s(np.array([when], "datetime64[ns]"))
+
+
+@pytest.mark.parametrize(("days", "error_s"), [(10, 0.0014), (20, 0.0024), (30, 0.0032), (40, 0.0040)])
+def test_the_error_of_predicted_ut1_is_that_of_bulletin_a(days: int, error_s: float) -> None:
+    """The table under "estimated accuracies" of every Bulletin A of the IERS, printed to 0.1 ms."""
+    assert ut1_prediction_error_s(days) == pytest.approx(error_s, abs=6e-5)
+
+
+def test_how_far_times_lie_beyond_the_last_measured_day_is_known() -> None:
+    table = earth_orientation()
+    last = table.predicted_from - np.timedelta64(1, "D")
+    assert table.predicted_days(np.array([last])) == 0.0
+    assert table.predicted_days(np.array([last - np.timedelta64(400, "D"), last + np.timedelta64(36, "h")])) == 1.5
 
 
 def test_what_is_not_a_time_is_refused() -> None:

@@ -71,7 +71,6 @@ HEADER = "CCSDS_OEM_VERS = 2.0\nCREATION_DATE = 2022-02-20T00:00:00\nORIGINATOR 
         ({"INTERPOLATION_DEGREE": "5"}, 1e-5),
         ({"INTERPOLATION": "LAGRANGE", "INTERPOLATION_DEGREE": "9"}, 1e-6),
         ({"INTERPOLATION": "LAGRANGE", "INTERPOLATION_DEGREE": "8"}, 1e-5),
-        ({"INTERPOLATION": "LINEAR", "INTERPOLATION_DEGREE": ""}, 4.0),
         ({"INTERPOLATION": "", "INTERPOLATION_DEGREE": ""}, 1e-8),
     ],
 )
@@ -85,8 +84,19 @@ def test_interpolation_is_the_one_that_the_message_names(
     r_km, v_km_s = orbit.state_gcrf(t_utc)
     np.testing.assert_allclose(r_km, want_km, rtol=0, atol=atol_km)
     np.testing.assert_allclose(v_km_s, want_km_s, rtol=0, atol=max(atol_km * 3e-3, 1e-10))
-    if atol_km > 1.0:
-        assert np.abs(r_km - want_km).max() > 0.1
+
+
+def test_linear_interpolation_is_as_bad_as_it_says_where_the_velocities_do_not_allow_better(
+    circle: tuple[NDArray[np.datetime64], Floats, Floats],
+) -> None:
+    """Over 60 s the chord of a low orbit is 3.8 km from it; with velocities it is done better."""
+    meta = {"INTERPOLATION": "LINEAR", "INTERPOLATION_DEGREE": ""}
+    t_utc = START + (np.linspace(0.0, 6000.0, 733) * 1e9).astype("timedelta64[ns]")
+    _, want_km, _ = _circle(t_utc, circle[1][0])
+    plain = parse_oem(HEADER + _oem(circle[0], circle[1], 0.0 * circle[2], meta))
+    assert 3.0 < np.linalg.norm(plain.state_gcrf(t_utc)[0] - want_km, axis=1).max() < 4.0
+    better = parse_oem(HEADER + _oem(*circle, meta))
+    np.testing.assert_allclose(better.state_gcrf(t_utc)[0], want_km, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -163,7 +173,7 @@ def test_xml_and_kvn_are_the_same_ephemeris(circle: tuple[NDArray[np.datetime64]
 @pytest.mark.parametrize(
     ("old", "new", "where"),
     [
-        ("REF_FRAME = GCRF", "REF_FRAME = TOD", "segment 1, REF_FRAME"),
+        ("REF_FRAME = GCRF", "REF_FRAME = MOON_ME", "segment 1, REF_FRAME"),
         ("REF_FRAME = GCRF\n", "", "segment 1, REF_FRAME"),
         ("TIME_SYSTEM = UTC", "TIME_SYSTEM = MET", "segment 1, TIME_SYSTEM"),
         ("CENTER_NAME = EARTH", "CENTER_NAME = MARS", "segment 1, CENTER_NAME"),

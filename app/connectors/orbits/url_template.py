@@ -1,0 +1,25 @@
+"""Any server that answers an orbit message at an address with the catalogue number in it."""
+
+from __future__ import annotations
+
+from app.connectors.http import SourceClient, SourceContentError, require_no_page
+from app.connectors.orbits.contract import Limit, Reply, Watched, catalogue_number
+from app.settings import Settings
+
+
+class UrlTemplate:
+    """``MAGCAL_ORBIT_URL`` with ``{norad_id}`` in it."""
+
+    limits: tuple[Limit, ...] = ()
+
+    def ask(self, settings: Settings, satellite: Watched) -> Reply:
+        """Return what is at the satellite's address."""
+        if settings.orbit_url is None or "{norad_id}" not in settings.orbit_url:
+            raise SourceContentError("MAGCAL_ORBIT_URL wants an address with {norad_id} in it")
+        url = settings.orbit_url.replace("{norad_id}", catalogue_number(satellite))
+        client = SourceClient(url)
+        try:
+            body = require_no_page(client.get(url))
+        finally:
+            client.close()
+        return Reply(body, "application/json" if body.lstrip()[:1] in {b"[", b"{"} else "text/plain")

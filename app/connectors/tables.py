@@ -1,0 +1,43 @@
+"""Tables of connectors: what was asked of other services and when, so that their limits hold over restarts."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+from sqlalchemy import ForeignKey, Index, String, Text
+from sqlalchemy.orm import Mapped, mapped_column
+
+from app.storage.database import Base
+
+
+class ConnectorRequest(Base):
+    """One request to a source: written down before it is sent, so that a kill does not let it be sent again."""
+
+    __tablename__ = "connector_request"
+    __table_args__ = (Index(None, "source", "satellite_id", "asked_at"), Index(None, "source", "asked_at"))
+
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    source: Mapped[str] = mapped_column(String(32))
+    satellite_id: Mapped[str] = mapped_column(ForeignKey("satellite.id"))
+    asked_at: Mapped[datetime]
+    outcome: Mapped[str | None] = mapped_column(String(500))
+
+
+class ConnectorStop(Base):
+    """A source that must not be asked any more until a person starts it again."""
+
+    __tablename__ = "connector_stop"
+
+    source: Mapped[str] = mapped_column(String(32), primary_key=True)
+    reason: Mapped[str] = mapped_column(String(500))
+    stopped_at: Mapped[datetime]
+
+
+class ConnectorMark(Base):
+    """How far a pull of telemetry has come; moved in the transaction that keeps what was pulled."""
+
+    __tablename__ = "connector_mark"
+
+    name: Mapped[str] = mapped_column(String(200), primary_key=True)
+    mark: Mapped[str] = mapped_column(Text)
+    updated_at: Mapped[datetime]

@@ -1,0 +1,300 @@
+"""`magcal orbits watch` against catalogues on loopback: the manners are part of it."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from datetime import timedelta
+from pathlib import Path
+from typing import get_args
+
+import pytest
+from sqlalchemy import select, update
+
+from app.connectors.orbits.registry import ORBIT_SOURCES
+from app.connectors.orbits.watch import OrbitWatch, start_again, stopped, stopped_sources
+from app.connectors.tables import ConnectorRequest
+from app.orbits.tables import OrbitRow
+from app.outbox.tables import OutboxEntry
+from app.satellites.tables import Satellite
+from app.settings import Settings
+from app.storage.database import Database, utc_now
+from app.storage.exclusive import Exclusive
+from app.storage.migration import upgrade
+
+TLE = (
+    "1 40014U 14033AL  26330.50000000  .00001000  00000-0  10000-3 0  999",
+    "2 40014  97.9000 100.0000 0010000  50.0000 310.0000 14.90000000 1234",
+)
+
+
+def summed(line: str) -> str:
+    """Return a line of a TLE with its checksum."""
+    return line + str(sum(int(c) if c.isdigit() else c == "-" for c in line) % 10)
+
+
+def omm(norad_id: int, cospar_id: str = "2026-001A", epoch: str = "2026-11-29T10:00:00.123456") -> dict[str, object]:
+    """Return elements as CelesTrak and Space-Track write them in JSON."""
+    return {
+        "OBJECT_NAME": "X", "OBJECT_ID": cospar_id, "EPOCH": epoch, "MEAN_MOTION": 15.2, "ECCENTRICITY": 0.001,
+        "INCLINATION": 97.5, "RA_OF_ASC_NODE": 10.0, "ARG_OF_PERICENTER": 20.0, "MEAN_ANOMALY": 30.0,
+        "EPHEMERIS_TYPE": 0, "CLASSIFICATION_TYPE": "U", "NORAD_CAT_ID": norad_id, "ELEMENT_SET_NO": 999,
+        "REV_AT_EPOCH": 1, "BSTAR": 1e-4, "MEAN_MOTION_DOT": 1e-5, "MEAN_MOTION_DDOT": 0,
+    }  # fmt: skip
+
+
+def celestrak(asked):
+    """Answer as gp.php does: a list of elements; a line of text where there are none."""
+    if asked.path != "/NORAD/elements/gp.php" or asked.query.get("FORMAT") != "json":
+        return 404, {}, b"not here"
+    number = int(asked.query["CATNR"])
+    return (200, {}, b"No GP data found") if number == 404 else (200, {}, json.dumps([omm(number)]).encode())
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> Iterator[Database]:
+    opened = Database(Settings(data_dir=tmp_path))
+    upgrade(opened, Settings(data_dir=tmp_path))
+    yield opened
+    opened.close()
+
+
+def add(database: Database, **norad_ids: str) -> None:
+    with database.write() as session:
+        session.add_all(Satellite(id=name, norad_id=number, created_at=utc_now()) for name, number in norad_ids.items())
+
+
+def orbits(database: Database) -> list[OrbitRow]:
+    with database.read() as session:
+        return list(session.scalars(select(OrbitRow).order_by(OrbitRow.satellite_id)))
+
+
+def look(database: Database, settings: Settings, source: str = "celestrak") -> list[tuple[str, str]]:
+    """Return what became of a round of a process that starts and ends with it."""
+    watch = OrbitWatch(database, settings, source)
+    found = watch.round()
+    watch.release()
+    return [(one.satellite_id, one.state) for one in found]
+
+
+def hours_go_by(database: Database, hours: float) -> None:
+    with database.write() as session:
+        for row in session.scalars(select(ConnectorRequest)):
+            row.asked_at -= timedelta(hours=hours)
+
+
+def test_orbits_come_by_themselves_nine_digits_and_all(database, serve, tmp_path):
+    fake = serve(celestrak)
+    settings = Settings(data_dir=tmp_path, celestrak_url=fake.url)
+    add(database, a="25544", b="123456789", c="00404")
+    assert look(database, settings) == [("a", "new"), ("b", "new"), ("c", "failed")]
+    assert [one.query["CATNR"] for one in fake.asked] == ["25544", "123456789", "404"]
+    assert [(row.satellite_id, row.details["norad_id"]) for row in orbits(database)] == [
+        ("a", "25544"), ("b", "123456789"),
+    ]  # fmt: skip
+    with database.read() as session:
+        assert stopped(session, "celestrak") is None
+
+
+def test_ten_restarts_are_no_second_request_in_two_hours_and_less_is_refused(database, serve, tmp_path):
+    fake = serve(celestrak)
+    settings = Settings(data_dir=tmp_path, celestrak_url=fake.url, orbit_every_h=2.0)
+    add(database, a="25544")
+    for _ in range(10):
+        look(database, settings)
+    assert len(fake.asked) == 1
+    hours_go_by(database, 1.99)
+    look(database, settings)
+    assert len(fake.asked) == 1
+    hours_go_by(database, 0.25)
+    assert look(database, settings) == [("a", "known")]
+    assert len(fake.asked) == 2
+    with pytest.raises(ValueError, match="orbit_every_h"):
+        Settings(orbit_every_h=1.9)
+    assert Settings().orbit_every_h == 8.0
+
+
+def test_a_kill_in_the_middle_of_a_request_is_no_reason_for_another(database, serve, tmp_path):
+    """The process dies with the request on its way, at the real command line."""
+
+    def never(asked):
+        os.kill(process.pid, 9)
+        return 200, {}, json.dumps([omm(25544)]).encode()
+
+    fake = serve(never)
+    add(database, a="25544")
+    environment = os.environ | {"MAGCAL_DATA_DIR": str(tmp_path), "MAGCAL_CELESTRAK_URL": fake.url}
+    command = [Path(sys.executable).with_name("magcal"), "orbits", "watch", "--once", "--source", "celestrak"]
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process.communicate()
+    assert process.returncode == -9
+    fake.answer = celestrak
+    assert look(database, Settings(data_dir=tmp_path, celestrak_url=fake.url)) == [("a", "not yet")]
+    assert len(fake.asked) == 1
+
+
+@pytest.mark.parametrize("status", [301, 304, 401, 403, 404, 429, 500, 503])
+def test_any_answer_but_200_stops_the_source_until_a_person_starts_it_again(database, serve, tmp_path, status):
+    fake = serve(lambda _asked: (status, {"location": "/elsewhere"}, b""))
+    settings = Settings(data_dir=tmp_path, celestrak_url=fake.url)
+    add(database, a="25544", b="25545")
+    assert look(database, settings) == [("a", "failed")]
+    hours_go_by(database, 100.0)
+    for _ in range(3):
+        look(database, settings)
+    assert len(fake.asked) == 1
+    (why,) = stopped_sources(database)
+    assert str(status) in why
+    with database.read() as session:
+        raised = session.scalars(select(OutboxEntry)).one()
+        assert (raised.type, str(status) in raised.data["reason"]) == ("attention.raised", True)
+    with database.write() as session:
+        assert start_again(session, "celestrak")
+        assert not start_again(session, "celestrak")
+    fake.answer = celestrak
+    assert look(database, settings) == [("a", "new"), ("b", "new")]
+    with database.read() as session:
+        assert [one.type for one in session.scalars(select(OutboxEntry).order_by(OutboxEntry.id))] == [
+            "attention.raised", "attention.cleared",
+        ]  # fmt: skip
+
+
+def test_another_objects_orbit_a_page_and_nonsense_are_not_kept_and_stop_nothing(database, serve, tmp_path):
+    answers = {
+        "25544": json.dumps([omm(25545)]).encode(),
+        "25545": b"<!DOCTYPE html><html>maintenance</html>",
+        "25546": b"[{}]",
+    }
+    fake = serve(lambda asked: (200, {}, answers[asked.query["CATNR"]]))
+    add(database, a="25544", b="25545", c="25546")
+    watch = OrbitWatch(database, Settings(data_dir=tmp_path, celestrak_url=fake.url), "celestrak")
+    found = {one.satellite_id: one.why or "" for one in watch.round()}
+    watch.release()
+    assert "another object" in found["a"]
+    assert "HTML" in found["b"]
+    assert "cannot be read" in found["c"]
+    assert orbits(database) == []
+    assert stopped_sources(database) == []
+
+
+def test_one_process_asks_at_a_time(database, serve, tmp_path):
+    fake = serve(celestrak)
+    settings = Settings(data_dir=tmp_path, celestrak_url=fake.url)
+    add(database, a="25544")
+    other = Exclusive(database, settings, "orbits-celestrak")
+    assert other.acquire()
+    assert look(database, settings) == []
+    other.release()
+    assert look(database, settings) == [("a", "new")]
+
+
+@pytest.mark.postgres
+def test_one_process_of_a_cluster_asks_at_a_time(tmp_path, serve, postgres_url):
+    fake = serve(celestrak)
+    settings = Settings(data_dir=tmp_path, database_url=postgres_url, celestrak_url=fake.url)
+    first, second = Database(settings), Database(settings)
+    upgrade(first, settings)
+    add(first, a="25544")
+    holder = Exclusive(second, settings, "orbits-celestrak")
+    assert holder.acquire()
+    assert look(first, settings) == []
+    second.close()
+    holder.release()
+    assert look(first, settings) == [("a", "new")]
+    first.close()
+
+
+def test_space_track_logs_in_and_keeps_to_its_limits(database, serve, tmp_path):
+    """Thirty requests a minute, two a satellite: of 20 satellites, 15 are asked for now and the rest a minute later."""
+
+    def answer(asked):
+        if asked.path == "/ajaxauth/login":
+            is_known = asked.body == b"identity=me%40example.org&password=secret"
+            return (200, {"set-cookie": "chocolatechip=1; Path=/"}, b'""') if is_known else (401, {}, b"")
+        if asked.headers.get("cookie") != "chocolatechip=1":
+            return 401, {}, b""
+        number = int(asked.path.split("/NORAD_CAT_ID/")[1].split("/")[0])
+        return 200, {}, json.dumps([{name: str(value) for name, value in omm(number).items()}]).encode()
+
+    fake = serve(answer)
+    secret = tmp_path / "password"
+    secret.write_text("secret\n")
+    settings = Settings(
+        data_dir=tmp_path, space_track_url=fake.url, space_track_user="me@example.org", space_track_password_file=secret
+    )
+    add(database, **{f"s{n:02d}": str(30000 + n) for n in range(20)})
+    states = [state for _, state in look(database, settings, "space-track")]
+    assert states == ["new"] * 15 + ["not yet"] * 5
+    assert len(fake.asked) == 30
+    with database.write() as session:
+        session.execute(update(ConnectorRequest).values(asked_at=utc_now() - timedelta(seconds=61)))
+    assert [state for _, state in look(database, settings, "space-track")].count("new") == 5
+    secret.write_text("wrong")
+    hours_go_by(database, 10.0)
+    look(database, settings, "space-track")
+    assert "401" in stopped_sources(database)[0]
+
+
+def test_satnogs_a_template_and_a_folder_are_read(database, serve, tmp_path):
+    lines = [summed(line) for line in TLE]
+    entry = {"tle0": "0 SAT", "tle1": lines[0], "tle2": lines[1], "tle_source": "x", "norad_cat_id": 40014}
+
+    def answer(asked):
+        if asked.path == "/api/tle/" and asked.query == {"norad_cat_id": "40014", "format": "json"}:
+            return 200, {}, json.dumps([entry]).encode()
+        if asked.path == "/orbits/40014.tle":
+            return 200, {}, "\n".join(lines).encode()
+        return 404, {}, b""
+
+    fake = serve(answer)
+    (tmp_path / "orbits").mkdir()
+    (tmp_path / "orbits" / "40014.json").write_text(json.dumps([omm(40014)]))
+    settings = Settings(
+        data_dir=tmp_path, satnogs_url=fake.url, orbit_url=f"{fake.url}/orbits/{{norad_id}}.tle",
+        orbit_folder=tmp_path / "orbits",
+    )  # fmt: skip
+    add(database, a="40014")
+    found = [look(database, settings, source) for source in ("satnogs", "url", "folder")]
+    assert [states for ((_, states),) in found] == ["new", "new", "new"]
+    assert sorted(row.format for row in orbits(database)) == ["omm", "tle", "tle"]
+
+
+def test_the_setting_and_the_command_know_every_source():
+    from app.cli.orbits import SOURCES
+
+    (names, _none) = get_args(Settings.model_fields["orbit_source"].annotation)
+    assert set(get_args(names)) == set(ORBIT_SOURCES) == set(SOURCES)
+
+
+def test_a_server_watches_where_asked_and_readyz_says_what_is_stopped(new_service, serve):
+    import time
+
+    import httpx2
+
+    fake = serve(celestrak)
+    service = new_service(celestrak_url=fake.url)
+    with service.client() as api:
+        api.post("/satellites", json={"id": "a", "norad_id": "25544"}).raise_for_status()
+    folder = service.settings.data_dir
+    service.server.should_exit = True
+    fake.answer = lambda _asked: (403, {}, b"")
+    again = new_service(celestrak_url=fake.url, orbit_source="celestrak", data_dir=folder)
+    deadline = time.monotonic() + 30.0
+    while not (found := httpx2.get(f"{again.url}/readyz", trust_env=False).json())["stopped_sources"]:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    assert found["status"] == "ok"
+    assert found["stopped_sources"][0].startswith("celestrak: it answered 403")
+
+
+def test_nothing_is_asked_with_default_settings(new_service, serve):
+    """A server with no settings but where the catalogue would be: it is never asked, and no name is looked up."""
+    fake = serve(celestrak)
+    service = new_service(celestrak_url=fake.url, satnogs_url=fake.url, space_track_url=fake.url)
+    with service.client() as api:
+        api.post("/satellites", json={"id": "a", "norad_id": "25544"}).raise_for_status()
+        api.get("/satellites/a").raise_for_status()
+    assert fake.asked == []

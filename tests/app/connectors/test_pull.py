@@ -1,0 +1,259 @@
+"""`magcal pull` against archives on loopback: everything comes, nothing twice, also over kills at every page."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sqlalchemy import select
+
+from app.access.caller import SYSTEM
+from app.connectors.http import SourceAnswerError, SourceContentError
+from app.connectors.telemetry.contract import PullOptionError, Wanted
+from app.connectors.telemetry.pull import Pull
+from app.connectors.telemetry.registry import ARCHIVES
+from app.connectors.telemetry.satnogs import SatNogs
+from app.jobs.engines.embedded import EmbeddedQueue
+from app.satellites.tables import Magnetometer, Satellite
+from app.sessions.repository import SessionRepository, samples_of
+from app.sessions.tables import TelemetrySession
+from app.settings import Settings
+from app.storage.database import Database, utc_now
+from app.storage.migration import upgrade
+from app.storage.open_store import open_store
+from app.uploads.ingest import Ingest
+
+BEGIN = datetime(2026, 11, 1, tzinfo=UTC)
+MAP = {"bx": "/MAG/x", "by": "/MAG/y", "bz": "/MAG/z"}
+
+
+def reading(number: int) -> tuple[float, float, float]:
+    """Return three readings by which a row is known: the first is its number."""
+    return 20_000.0 + number, 1.0 + number % 97, 2.0 + number % 89
+
+
+@pytest.fixture
+def settings(tmp_path: Path) -> Settings:
+    return Settings(data_dir=tmp_path, max_bad_samples=1.0)
+
+
+@pytest.fixture
+def database(settings: Settings) -> Iterator[Database]:
+    opened = Database(settings)
+    upgrade(opened, settings)
+    with opened.write() as session:
+        session.add(Satellite(id="sat", norad_id="99999", created_at=utc_now()))
+        session.flush()
+        session.add(Magnetometer(satellite_id="sat", id="mgm", unit="nT", created_at=utc_now()))
+    yield opened
+    opened.close()
+
+
+def pull_of(database: Database, settings: Settings, kind: str, wanted: Wanted, archive: object = None) -> Pull:
+    ingest = Ingest(database, open_store(settings), EmbeddedQueue(), settings)
+    return Pull(
+        database, settings, ingest, archive=(kind, archive or ARCHIVES[kind]), satellite_id="sat",
+        magnetometer_id="mgm", wanted=wanted,
+    )  # fmt: skip
+
+
+def numbers(database: Database, settings: Settings) -> list[int]:
+    """Return the number of every row that is kept, in time order of each session."""
+    found: list[int] = []
+    with database.read() as session:
+        sessions = SessionRepository(session, SYSTEM)
+        for session_id in session.scalars(select(TelemetrySession.id).order_by(TelemetrySession.id)):
+            samples = samples_of(sessions.columns(session_id, open_store(settings)))
+            found += (samples.h_nt[:, 0] - 20_000.0).round().astype(int).tolist()
+    return found
+
+
+def yamcs(rows: int, step_s: float):
+    """Answer ``exportParameterValues`` as Yamcs does: a table with tabs, start <= t < stop."""
+
+    def answer(asked):
+        if asked.path != "/api/archive/sim:exportParameterValues":
+            return 404, {}, b""
+        names = asked.query["parameters"].split(",")
+        start, stop = (datetime.fromisoformat(asked.query[name]) for name in ("start", "stop"))
+        lines = ["\t".join(["Time", *(name.rpartition("/")[2] for name in names)])]
+        first = max(0, int(np.ceil((start - BEGIN).total_seconds() / step_s)))
+        for number in range(first, rows):
+            time = BEGIN + timedelta(seconds=number * step_s)
+            if time >= stop:
+                break
+            cells = (f"{one}" for one in reading(number))
+            lines.append("\t".join([time.strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3] + "Z", *cells]))
+        return 200, {"content-type": "text/csv"}, ("\n".join(lines) + "\n").encode()
+
+    return answer
+
+
+def test_ten_thousand_rows_over_five_pages_killed_at_each_page_are_all_there_and_none_twice(
+    database, settings, serve, tmp_path
+):
+    """Spans of 6 h with 2,000 rows each at the real command line, killed while each is answered, then once more."""
+    step_s = 6 * 3600 / 2000
+    whole = yamcs(10_000, step_s)
+    asked_spans: list[str] = []
+
+    def answer(asked):
+        if asked.query["start"] not in asked_spans:
+            asked_spans.append(asked.query["start"])
+            if len(asked_spans) <= 6 and len(whole(asked)[2]) > 100:
+                os.kill(process.pid, 9)
+        return whole(asked)
+
+    fake = serve(answer)
+    environment = os.environ | {"MAGCAL_DATA_DIR": str(tmp_path), "MAGCAL_MAX_BAD_SAMPLES": "1"}
+    command = [
+        Path(sys.executable).with_name("magcal"), "pull", "yamcs", "--base-url", fake.url, "--satellite", "sat",
+        "--magnetometer", "mgm", "--instance", "sim", "--columns", json.dumps(MAP), "--since", BEGIN.isoformat(),
+        "--once",
+    ]  # fmt: skip
+    killed = 0
+    for _ in range(12):
+        process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        _, errors = process.communicate()
+        if process.returncode == 0:
+            break
+        assert process.returncode == -9, errors
+        killed += 1
+    assert killed == 5
+    assert sorted(numbers(database, settings)) == list(range(10_000))
+
+
+def test_a_pull_goes_on_where_it_stopped_and_a_gap_is_passed(database, settings, serve):
+    fake = serve(yamcs(100, 10.0))
+    wanted = Wanted(fake.url, MAP, "sim", BEGIN)
+    assert sum(one.rows for one in pull_of(database, settings, "yamcs", wanted).run()) == 100
+    asked = len(fake.asked)
+    assert asked < 60
+    fake.answer = yamcs(100, 10.0)
+    assert sum(one.rows for one in pull_of(database, settings, "yamcs", wanted).run()) == 0
+    assert len(fake.asked) - asked <= 1
+    assert sorted(numbers(database, settings)) == list(range(100))
+
+
+class Frames:
+    """SatNOGS DB: frames the newest first, a cursor, a token, and a throttle at every third request."""
+
+    def __init__(self, count: int, page: int) -> None:
+        self.count, self.page, self.requests = count, page, 0
+        self.url = ""
+
+    def __call__(self, asked):
+        self.requests += 1
+        if asked.headers.get("authorization") != "Token secret":
+            return 401, {}, b""
+        if self.requests % 3 == 0:
+            return 429, {"retry-after": "7"}, b""
+        start = datetime.fromisoformat(asked.query["start"]) if "start" in asked.query else BEGIN - timedelta(days=1)
+        top = int(asked.query.get("cursor", self.count))
+        own = [n for n in range(top - 1, max(-1, top - 1 - self.page), -1) if self.time(n) >= start]
+        following = own[-1] if own and own[-1] > 0 and self.time(own[-1] - 1) >= start else None
+        results = [
+            {"norad_cat_id": 99999, "timestamp": self.time(n).strftime("%Y-%m-%dT%H:%M:%SZ"), "frame": "00",
+             "decoded": json.dumps({"mag": dict(zip("xyz", reading(n), strict=True))})}
+            for n in own
+        ]  # fmt: skip
+        link = None if following is None else f"{self.url}/api/telemetry/?cursor={following}&start={start.isoformat()}"
+        link = None if link is None else link.replace("+", "%2B")
+        return 200, {}, json.dumps({"next": link, "previous": None, "results": results}).encode()
+
+    @staticmethod
+    def time(number: int) -> datetime:
+        return BEGIN + timedelta(seconds=10 * number)
+
+
+def test_satnogs_is_walked_page_by_page_with_a_token_and_its_throttle(database, settings, serve):
+    """500 frames of 100 a page, cut after each page; then 30 new ones, and only those."""
+    frames = Frames(500, 100)
+    fake = serve(frames)
+    frames.url = fake.url
+    waited: list[float] = []
+    columns = {"bx": "mag.x", "by": "mag.y", "bz": "mag.z"}
+    wanted = Wanted(fake.url, columns, None, None, "secret")
+    for _ in range(10):
+        pull = pull_of(database, settings, "satnogs", wanted, SatNogs(waited.append))
+        pages = pull.run()
+        first = next(pages, None)
+        pages.close()  # as if killed behind the page
+        if first is None or first.rows == 0:
+            break
+    assert sorted(numbers(database, settings)) == list(range(500))
+    frames.count = 530
+    kept = [one.rows for one in pull_of(database, settings, "satnogs", wanted, SatNogs(waited.append)).run()]
+    assert sum(kept) == 30
+    assert sorted(numbers(database, settings)) == list(range(530))
+    assert 7.0 in waited
+    with pytest.raises(SourceAnswerError, match="401"):
+        list(pull_of(database, settings, "satnogs", Wanted(fake.url, columns, None, None, "wrong")).run())
+
+
+def hapi(asked):
+    """Answer as a HAPI server does: a time, a vector with a fill value, rows once a minute for 20 h."""
+    info = {
+        "HAPI": "3.2", "status": {"code": 1200, "message": "OK"},
+        "startDate": "2026-11-01T00:00:00Z", "stopDate": "2026-11-01T20:00:00Z",
+        "parameters": [
+            {"name": "Timestamp", "type": "isotime", "length": 24, "units": "UTC", "fill": None},
+            {"name": "B_VFM", "type": "double", "units": "nT", "size": [3], "fill": "-1e31"},
+        ],
+    }  # fmt: skip
+    if asked.query["id"] != "MAG":
+        return 404, {}, json.dumps({"status": {"code": 1406, "message": "unknown dataset id"}}).encode()
+    if asked.path == "/hapi/info":
+        return 200, {}, json.dumps(info).encode()
+    begin, end = (datetime.fromisoformat(asked.query[name]) for name in ("time.min", "time.max"))
+    lines = []
+    for number in range(1200):
+        time = BEGIN + timedelta(minutes=number)
+        if begin <= time < end:
+            values = (-1e31,) * 3 if number == 7 else reading(number)
+            lines.append(f"{time:%Y-%m-%dT%H:%M:%S}.000Z,{','.join(map(repr, values))}\n")
+    return 200, {}, "".join(lines).encode()
+
+
+def test_hapi_is_read_as_far_as_it_reaches_and_fill_values_are_none(database, settings, serve):
+    fake = serve(hapi)
+    columns = {"bx": "B_VFM[0]", "by": "B_VFM[1]", "bz": "B_VFM[2]"}
+    wanted = Wanted(f"{fake.url}/hapi", columns, "MAG")
+    for _ in range(2):
+        list(pull_of(database, settings, "hapi", wanted).run())
+    assert sorted(numbers(database, settings)) == [n for n in range(1200) if n != 7]
+    with pytest.raises(SourceContentError, match="has no B_NEC"):
+        list(pull_of(database, settings, "hapi", Wanted(f"{fake.url}/hapi", MAP | {"bx": "B_NEC"}, "MAG")).run())
+    with pytest.raises(SourceAnswerError, match="404"):
+        list(pull_of(database, settings, "hapi", Wanted(f"{fake.url}/hapi", columns, "NONE")).run())
+
+
+def test_an_archive_cannot_send_us_to_another_host(database, settings, serve):
+    other = serve(lambda _asked: (200, {}, b'{"results": []}'))
+    page = {"next": f"{other.url}/api/telemetry/?cursor=1", "results": [
+        {"timestamp": "2026-11-01T00:00:00Z", "decoded": {"x": 20_000.0, "y": 1.0, "z": 2.0}},
+    ]}  # fmt: skip
+    fake = serve(lambda _asked: (200, {}, json.dumps(page).encode()))
+    wanted = Wanted(fake.url, {"bx": "x", "by": "y", "bz": "z"})
+    with pytest.raises(SourceContentError, match="another host"):
+        list(pull_of(database, settings, "satnogs", wanted, SatNogs(lambda _s: None)).run())
+    assert other.asked == []
+
+
+def test_what_a_pull_must_be_told_is_said(database, settings):
+    with pytest.raises(PullOptionError, match="bx, by, bz"):
+        pull_of(database, settings, "yamcs", Wanted("http://127.0.0.1:9", {}, "sim", BEGIN))
+    for kind, wanted in (
+        ("yamcs", Wanted("http://127.0.0.1:9", MAP, None, BEGIN)),
+        ("yamcs", Wanted("http://127.0.0.1:9", MAP, "sim")),
+        ("hapi", Wanted("http://127.0.0.1:9", MAP)),
+    ):
+        with pytest.raises(PullOptionError):
+            list(pull_of(database, settings, kind, wanted).run())
