@@ -31,6 +31,7 @@ from app.http.middleware.upload_gate import UploadGate
 from app.http.openapi import complete
 from app.http.problem_handlers import install_handlers
 from app.http.receiving import Admission, sweep_incoming
+from app.indices import endpoints as indices
 from app.jobs import endpoints as jobs
 from app.jobs.engines.open_engine import Engine, open_engine
 from app.maintenance import satellite_endpoints
@@ -73,6 +74,7 @@ ROOMS: Final = (
     rollouts,
     aboard,
     field,
+    indices,
     keys,
     displays,
     notifications,

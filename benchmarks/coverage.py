@@ -1,7 +1,8 @@
 """Do 95 % intervals hold the truth under coloured errors? Kinds of error x lengths of session x methods.
 
-No mission has a perfect reference: the field has an external part and anomalies of the crust that the model lacks, and
-the orbit is late along its track, by an error drawn as large as TLEs of its age have. The kinds of error come on top.
+No mission has a perfect reference: the field has an external part, by days of RC, and anomalies of the crust that the
+model lacks, and the orbit is late along its track, by an error drawn as large as TLEs of its age have. The kinds of
+error come on top.
 
 ``MAGCAL_COVERAGE`` sets the number of missions of each.
 """
@@ -16,6 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.external import rc_index
 from benchmarks.measure import Figure
 from magcal_core.errors import EstimationError
 from magcal_core.options import CalibrationOptions
@@ -72,7 +74,7 @@ def covered(kind: str, orbits: float, method: str, seed: int) -> Covered | None:
         start,
         orbits * ORBIT_S,
         10.0 if orbits <= 4 else 20.0,
-        field_model=DisturbedField.drawn(random),
+        field_model=DisturbedField.drawn(random, start, rc_index()),
         rate_deg_s=rate_deg_s,
         moments=(0.08, 0.1, 0.06),
         disturbances=Disturbances(60.0),

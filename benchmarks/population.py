@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 
+from benchmarks.external import rc_index
 from benchmarks.measure import Figure
 from magcal_core.simulation.missions import draw_mission
 from magcal_core.simulation.population import TOLERANCE, Outcome, rates_of, run_mission
@@ -69,4 +70,4 @@ def run() -> list[Outcome]:
 
 
 def _outcome(seed: int) -> Outcome:
-    return run_mission(draw_mission(seed))
+    return run_mission(draw_mission(seed, rc_index()))

@@ -17,8 +17,12 @@ if TYPE_CHECKING:
     from magcal_core.calibration.sessions.trend import trend as trend
     from magcal_core.calibration.terms.bias_path import bias_path as bias_path
     from magcal_core.calibration.terms.bias_steps import bias_steps as bias_steps
+    from magcal_core.field.coefficient_files import read_field_file as read_field_file
+    from magcal_core.field.coefficients import CoefficientFile as CoefficientFile
     from magcal_core.field.dipole import DirectDipole as DirectDipole
     from magcal_core.field.igrf import Igrf as Igrf
+    from magcal_core.field.index import Index as Index
+    from magcal_core.field.index_files import read_index as read_index
     from magcal_core.field.models import field_model as field_model
     from magcal_core.orbit.messages.oem import OemOrbit as OemOrbit
     from magcal_core.orbit.messages.state import StateVector as StateVector
@@ -37,9 +41,11 @@ if TYPE_CHECKING:
 _HOME: Final[dict[str, str]] = {
     "Calibration": "calibration.result",
     "CalibrationOptions": "pipeline",
+    "CoefficientFile": "field.coefficients",
     "DirectDipole": "field.dipole",
     "FitMoments": "calibration.refit.moments",
     "Igrf": "field.igrf",
+    "Index": "field.index",
     "NumericalOrbit": "orbit.propagators.numerical",
     "OemOrbit": "orbit.messages.oem",
     "RefitOptions": "calibration.refit.refit",
@@ -53,6 +59,8 @@ _HOME: Final[dict[str, str]] = {
     "calibrate": "pipeline",
     "field_model": "field.models",
     "parse_orbits": "orbit.sources",
+    "read_field_file": "field.coefficient_files",
+    "read_index": "field.index_files",
     "read_samples": "telemetry",
     "refit": "calibration.refit.refit",
     "simulate": "simulation.telemetry",

@@ -24,8 +24,8 @@ CORES: Final = 2
 
 def calibrate_made_up_session(method: str) -> Calibration:
     """Return the calibration of a made-up session by ``method``; whatever it calls is compiled and kept."""
-    samples = simulated(SESSIONS[0]).samples
-    return calibrate(samples, [Sgp4Orbit(tle_of(SESSIONS[0]))], method=method, with_moments=True)
+    samples, orbit = simulated(SESSIONS[0]).samples, Sgp4Orbit(tle_of(SESSIONS[0]))
+    return calibrate(samples, [orbit], method=method, field="igrf-14+mean", with_moments=True)
 
 
 def _compile(method: str) -> None:

@@ -173,6 +173,30 @@ class ModelRangeError(InputError):
     code = "model_range"
 
 
+class IndexFormatError(InputError):
+    """An index file is not what its format says, or not one that magcal reads."""
+
+    code = "index_format"
+
+
+class IndexRangeError(InputError):
+    """A sample lies where the index has no value; the message has the span of the index."""
+
+    code = "index_range"
+
+
+class IndexMissingError(InputError):
+    """The field model or an option needs an index that is not there."""
+
+    code = "index_missing"
+
+
+class FieldFileError(InputError):
+    """A file of coefficients is not what its format says, or lacks some."""
+
+    code = "field_file"
+
+
 class PropagationError(MagcalError):
     """An orbit could not be propagated; the message has the SGP4 code, the epoch and the time."""
 

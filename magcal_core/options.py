@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Final, TypedDict
 
 from magcal_core.errors import Fault, OptionError
+from magcal_core.field.gaps import INDEX_GAPS
 
 METHODS: Final = ("scalar", "scalar-hooke-jeeves", "vector", "vector-closed-form")
 ORBIT_MODELS: Final = ("sgp4", "numerical")
@@ -23,6 +24,8 @@ class OptionValues(TypedDict, total=False):
     method: str
     field: str
     field_max_degree: int | None
+    index_gap: str
+    quiet_only: bool
     orbit: str
     time_offset: str
     time_drift: bool
@@ -37,6 +40,9 @@ class OptionValues(TypedDict, total=False):
     seed: int
 
 
+_IGRF_DEGREE: Final = 13
+
+
 @dataclass(frozen=True, slots=True)
 class CalibrationOptions:
     """How to calibrate.
@@ -44,7 +50,9 @@ class CalibrationOptions:
     Attributes
     ----------
     method : one of `METHODS`.
-    field, field_max_degree : field model by name; the degree that it is cut at, None for its own.
+    field, field_max_degree : field model by name; the degree that it, or its file, is cut at, None for its own.
+    index_gap : ``refuse`` samples for which the index of the external field has no value, or take its ``mean``.
+    quiet_only : use only samples of quiet hours, which needs Kp and an hourly index.
     orbit : ``sgp4`` as the elements are meant, or ``numerical`` integration from them.
     time_offset : ``none``, ``estimate``, or ``auto``: where the orbit is more than 3 d from the data and they show one.
     time_drift : estimate a drift of the clock beside its offset.
@@ -67,6 +75,8 @@ class CalibrationOptions:
     method: str = "scalar"
     field: str = "igrf"
     field_max_degree: int | None = None
+    index_gap: str = "refuse"
+    quiet_only: bool = False
     orbit: str = "sgp4"
     time_offset: str = "auto"
     time_drift: bool = False
@@ -88,6 +98,9 @@ class CalibrationOptions:
             for name, check in _CHECKS.items()
             if (why := check(getattr(self, name))) is not None
         ]
+        if not faults and "file" not in self.field and (self.field_max_degree or 1) > _IGRF_DEGREE:
+            why = f"want a whole number from 1 to {_IGRF_DEGREE}, the degrees of {self.field}"
+            faults = [Fault("field_max_degree", why, repr(self.field_max_degree))]
         if faults:
             raise OptionError("; ".join(f"{fault.where}: {fault.why}" for fault in faults), faults)
 
@@ -172,7 +185,9 @@ def _windows(value: object) -> str | None:
 _CHECKS: Final[Mapping[str, _Check]] = {
     "method": _one_of(METHODS),
     "field": _field_name,
-    "field_max_degree": _whole(1, 13, may_be_none=True),
+    "field_max_degree": _whole(1, 250, may_be_none=True),
+    "index_gap": _one_of(INDEX_GAPS),
+    "quiet_only": _flag,
     "orbit": _one_of(ORBIT_MODELS),
     "time_offset": _one_of(TIME_OFFSETS),
     "time_drift": _flag,

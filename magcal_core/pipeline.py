@@ -25,11 +25,14 @@ from magcal_core.calibration.terms.regressor_selection import usable_columns
 from magcal_core.calibration.uncertainty.bootstrap import bootstrap
 from magcal_core.calibration.uncertainty.consider_errors import ReferenceShift, reference_shifts
 from magcal_core.calibration.verdict.assessment import Circumstances, Judgement, extras_of, judgement_of
-from magcal_core.errors import FrameError, OrbitMissingError
+from magcal_core.errors import FrameError, IndexRangeError, OrbitMissingError
 from magcal_core.estimation import _Estimate, _estimate, _still
+from magcal_core.field.external_knowledge import Storm
+from magcal_core.field.sources import FieldFile, FieldSources, GivenIndices
 from magcal_core.observations import Observations
 from magcal_core.options import CalibrationOptions, OptionValues
 from magcal_core.orbit import Orbit
+from magcal_core.orbit.earth.timescales import nanoseconds
 from magcal_core.reference.columns import TELEMETRY_POSITION
 from magcal_core.reference.error_budget import ReferenceSource, error_budget
 from magcal_core.reference.referenced_samples import Referenced
@@ -45,6 +48,8 @@ def calibrate(
     orbits: Sequence[Orbit] = (),
     options: CalibrationOptions | None = None,
     *,
+    index: GivenIndices = None,
+    field_file: FieldFile = None,
     active: ActiveSet | None = None,
     with_moments: bool = False,
     progress: Progress | None = None,
@@ -60,6 +65,10 @@ def calibrate(
         Where the satellite was; not needed where the telemetry brings a reference field or a position.
     options : CalibrationOptions
         How to calibrate; ``overrides`` replace single ones, by the names of `CalibrationOptions`.
+    index : Index, path, bytes, open file, or several of them
+        Indices of the external field, of which the later holds: what ``field`` needs, and what tells of a storm.
+    field_file : CoefficientFile, path, bytes or open file
+        Coefficients, where ``field`` has ``file``.
     active : ActiveSet
         The calibration that is in force; the verdict tells where the new one differs.
     with_moments : bool
@@ -79,7 +88,8 @@ def calibrate(
         chosen = CalibrationOptions.from_dict(chosen.to_dict() | dict(overrides))
     tell = progress if progress is not None else lambda _share: None
     tell(0.0)
-    referenced = Referenced.of(samples, orbits, chosen)
+    sources = FieldSources.of(index, field_file)
+    referenced = Referenced.of(samples, orbits, chosen, sources)
     tell(0.2)
     try:
         estimate = _estimate(referenced, chosen)
@@ -97,6 +107,7 @@ def calibrate(
         tuple(f"{one.code}: {one.text}" for one in suspected),
         _reference_shifts(referenced, estimate),
         active,
+        _storm(referenced),
     )
     what = (estimate.estimator, estimate.observations, estimate.fit, estimate.settings)
     judgement = judgement_of(*what, circumstances, None if estimate.clock is None else estimate.clock.honest)
@@ -105,7 +116,15 @@ def calibrate(
     calibration = _assemble(referenced, estimate, judgement, left_out, suspected, moments if with_moments else None)
 
     def again(part: Samples, options: CalibrationOptions) -> Calibration:
-        return calibrate(part, orbits, options, active=active, with_moments=with_moments)
+        return calibrate(
+            part,
+            orbits,
+            options,
+            index=sources.indices,
+            field_file=sources.file,
+            active=active,
+            with_moments=with_moments,
+        )
 
     calibration = with_moving_bias(calibration, moments, Session(samples, orbits, chosen), again)
     tell(1.0)
@@ -135,7 +154,32 @@ def _source(referenced: Referenced, estimate: _Estimate) -> ReferenceSource:
         estimate.estimator.is_vector,
         None if clock is None else clock.offset_error_s,
         referenced.report.interpolation_km,
+        referenced.external,
     )
+
+
+def _storm(referenced: Referenced) -> Storm | None:
+    """Return the storm that the reference does not know enough of; None where it came with the telemetry."""
+    stamps_ns, r_km = referenced.placed()
+    return referenced.external.storm(stamps_ns, r_km) if len(stamps_ns) else None
+
+
+def _external_field(referenced: Referenced) -> dict[str, object] | None:
+    """Return what the record says of the external field; None where the reference came with the telemetry."""
+    stamps_ns, r_km = referenced.placed()
+    return referenced.external.to_dict(stamps_ns, r_km) if len(stamps_ns) else None
+
+
+def _field_provenance(referenced: Referenced, options: CalibrationOptions) -> dict[str, object]:
+    """Return which indices and which file of coefficients the session used."""
+    stamps_ns, _ = referenced.placed()
+    if options.quiet_only:
+        stamps_ns = nanoseconds(referenced.samples.t_utc)
+    file, known = referenced.external.sources.file, referenced.external
+    return {
+        "indices": known.provenance(stamps_ns, is_quiet_only=options.quiet_only) if len(stamps_ns) else [],
+        "field_file": None if file is None else file.to_dict(),
+    }
 
 
 def _budget(referenced: Referenced, estimate: _Estimate, judgement: Judgement) -> list[dict[str, object]]:
@@ -164,8 +208,8 @@ def _moments(referenced: Referenced, estimate: _Estimate, judgement: Judgement) 
     offered = dict(list(others.items())[: max(MAX_COLUMNS - fitted, 0)])
     o = replace(o, regressors={**o.regressors, **offered})
     if clock is None and referenced.has_orbit:
-        # An ephemeris that ends with the telemetry says nothing of where another clock would have the satellite.
-        with suppress(OrbitMissingError):
+        # An ephemeris or an index that ends with the telemetry says nothing of what another clock would have.
+        with suppress(OrbitMissingError, IndexRangeError):
             o = with_rates(o, referenced.movable(estimate.usable, ()).at)
     is_clock_fitted = clock is not None and clock.drift_s_per_day is None and not clock.wave_periods_s
     if clock is not None and clock.drift_s_per_day is not None:
@@ -193,6 +237,9 @@ def _assemble(  # noqa: PLR0917
         "status_of_fit": str(fit.status),
     }
     extras["suspicions"] = [one.to_dict() for one in suspected]
+    extras["external_field"] = _external_field(referenced)
+    if (index := referenced.external.series(referenced.placed()[0])) is not None:
+        extras["external_index"] = index
     extras["error_budget"] = _budget(referenced, estimate, judgement)
     extras["mounting"] = mounting_of(_oriented(referenced, estimate), parameters).to_dict()
     extras["device_steps"], unseen_devices = _device_steps(samples, estimate)
@@ -235,6 +282,7 @@ def _assemble(  # noqa: PLR0917
         residuals=residual_table(samples, estimate.usable, estimate.observations, estimate.fit),
         options=estimate.options.to_dict(),
         orbits=referenced.report.orbits,
+        sources=_field_provenance(referenced, estimate.options),
         extras=extras,
         moments=moments,
     )
@@ -263,6 +311,8 @@ def _device_steps(samples: Samples, estimate: _Estimate) -> tuple[list[dict[str,
 def _warnings(referenced: Referenced, estimate: _Estimate, judgement: Judgement) -> tuple[str, ...]:
     """Return the warnings of the reference, the fit and the residuals, in that order."""
     found = [*referenced.report.warnings, *estimate.fit.warnings]
+    if (storm := _storm(referenced)) is not None:
+        found.append(f"storm: {storm.text}")
     if not estimate.estimator.is_vector:
         found.append("reflection_free: |B| alone cannot show an inverted axis, nor a rotation of the whole sensor")
     found += residual_warnings(

@@ -37,6 +37,8 @@ class SampleFlag(enum.IntFlag):
     """the quaternion is missing or not a unit quaternion"""
     NO_HOUSEKEEPING = 256
     """a housekeeping column has no value here"""
+    NOT_QUIET = 512
+    """only quiet hours were asked for, and this one is not known to be quiet"""
     BIAS_STEP = 4096
     """in one of the two blocks of time about a step of the bias that the fit has as an unknown"""
 
@@ -47,6 +49,7 @@ EXCLUDED: Final = (
     | SampleFlag.CONFLICTING_TIME
     | SampleFlag.SATURATED
     | SampleFlag.NO_REFERENCE
+    | SampleFlag.NOT_QUIET
     | SampleFlag.BIAS_STEP
 )
 """Flags that keep a sample out of every fit."""

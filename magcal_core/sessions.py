@@ -12,7 +12,9 @@ from magcal_core.calibration.sessions.joint import DEFAULT_SHARED, JointFit, joi
 from magcal_core.calibration.sessions.monitoring import ActiveSet, SessionJudgement, judge_session
 from magcal_core.calibration.sessions.two_magnetometers import Comparison, CorrectedReadings, compare_magnetometers
 from magcal_core.errors import OptionError
+from magcal_core.field import FieldModel
 from magcal_core.field.models import field_model
+from magcal_core.field.sources import FieldSources
 from magcal_core.observations import Observations, corrected_nt
 from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
@@ -40,6 +42,7 @@ def calibrate_jointly(
     *,
     shared: Sequence[str] = DEFAULT_SHARED,
     time_offset_s: float = 0.0,
+    sources: FieldSources | None = None,
 ) -> JointFit:
     """Return the joint calibration of several sessions of one magnetometer, by the names given.
 
@@ -59,7 +62,7 @@ def calibrate_jointly(
     is_vector = chosen.method.startswith("vector")
     observed, begun = [], []
     for samples in sessions.values():
-        referenced = Referenced.of(samples, orbits, chosen)
+        referenced = Referenced.of(samples, orbits, chosen, sources)
         usable = referenced.usable(chosen.regressors, is_vector)
         begun.append(referenced.samples.t_utc[usable].min() if TIME_REGRESSOR not in samples.housekeeping else None)
         if time_offset_s and referenced.has_orbit:
@@ -87,11 +90,17 @@ def _since_begin(o: Observations, own: np.datetime64 | None, begin: np.datetime6
 
 
 def monitor(
-    samples: Samples, orbits: Sequence[Orbit], record: Mapping[str, object], *, max_orbit_age_days: float = 14.0
+    samples: Samples,
+    orbits: Sequence[Orbit],
+    record: Mapping[str, object],
+    *,
+    max_orbit_age_days: float = 14.0,
+    sources: FieldSources | None = None,
 ) -> SessionJudgement:
     """Return what a new session says of the active parameter set, whose ``record`` is given; nothing is refitted.
 
-    The field model and the clock's offset are those of the record.
+    The field model and the clock's offset are those of the record; ``sources`` have the index and the coefficients that
+    the model needs.
 
     Raises
     ------
@@ -99,10 +108,10 @@ def monitor(
         The record is no parameter set, or the samples have no reference.
     """
     active = ActiveSet.from_record(record)
-    name = str(record.get("field_model", "igrf"))
     offset_s = active.parameters.time_offset_s or 0.0
+    field = field_of_record(record, sources)
     filled, _ = with_reference(
-        in_time_order(samples), orbits, field_model(name), time_offset_s=offset_s, max_orbit_age_days=max_orbit_age_days
+        in_time_order(samples), orbits, field, time_offset_s=offset_s, max_orbit_age_days=max_orbit_age_days
     )
     usable = filled.is_used & np.isfinite(_reference_of(filled, is_vector=active.is_vector))
     for column in map(source_of, active.parameters.regressors):
@@ -112,6 +121,20 @@ def monitor(
     columns = list(active.parameters.regressors)
     observations = Observations.of(oriented(filled, usable), columns, usable.astype(np.float64))
     return judge_session(observations, active)
+
+
+def field_of_record(record: Mapping[str, object], sources: FieldSources | None = None) -> FieldModel:
+    """Return the field model of a parameter set: its name, and what it did where the index had no value.
+
+    Raises
+    ------
+    IndexMissingError, OptionError
+        ``sources`` lack the index or the file that it needs.
+    """
+    provenance = record.get("provenance")
+    options = provenance.get("options") if isinstance(provenance, Mapping) else None
+    gap = options.get("index_gap", "refuse") if isinstance(options, Mapping) else "refuse"
+    return field_model(str(record.get("field_model", "igrf")), index_gap=str(gap), sources=sources)
 
 
 def _since(active: ActiveSet, samples: Samples, usable: NDArray[np.bool_]) -> ActiveSet:

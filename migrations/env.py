@@ -12,6 +12,7 @@ import app.access.audit_trail
 import app.access.idempotency
 import app.access.key_tables
 import app.connectors.tables
+import app.indices.tables
 import app.jobs.tables
 import app.notifications.tables
 import app.orbits.tables

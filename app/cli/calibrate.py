@@ -23,7 +23,9 @@ from app.cli.options import (
     LateProgress,
     Windows,
     added,
+    field_options,
     orbits_of_file,
+    sources_of,
     usage_error,
 )
 from magcal_core.errors import InputError, OptionError
@@ -86,7 +88,8 @@ def _orbit_options(function: F) -> F:
         click.option("--orbit-file", type=INPUT_FILE, multiple=True, help="TLE, OMM, OEM or state vector."),
         click.option("--orbit", type=click.Choice(ORBIT_MODELS), help="How elements are propagated.  [default: sgp4]"),
         click.option("--max-orbit-age-days", type=float, help="Refuse orbits further from the data.  [default: 14]"),
-        click.option("--field", help="Field model: igrf, igrf-14, igrf-13, dipole.  [default: igrf]"),
+        click.option("--field", help="Field model: igrf, igrf-14, igrf-13, dipole, file, +file, +rc, +dst, +mean.  "
+                                     "[default: igrf]"),
         click.option("--field-max-degree", type=int, help="Cut the field model at this degree."),
     ])  # fmt: skip
 
@@ -114,6 +117,7 @@ def _estimation_options(function: F) -> F:
 @click.argument("telemetry", nargs=-1, required=True,
                 type=click.Path(exists=True, dir_okay=False, allow_dash=True, path_type=Path))  # fmt: skip
 @_orbit_options
+@field_options
 @_estimation_options
 @telemetry_options
 @click.option("--active", type=INPUT_FILE, help="Parameter set in force: the verdict tells where the new one differs.")
@@ -126,6 +130,8 @@ def command(
     tle: tuple[Path, ...],
     state: tuple[Path, ...],
     orbit_file: tuple[Path, ...],
+    index: tuple[Path, ...],
+    field_file: Path | None,
     unit: str,
     nt_per_count: float | None,
     columns: Mapping[str, str] | None,
@@ -166,7 +172,12 @@ def command(
     if corrected_with is not None:
         samples = _uncorrected(samples, corrected_with, inputs)
     with LateProgress("calibrating") as progress:
-        calibration = calibrate(samples, orbits, options, active=_in_force(active), progress=progress)
+        what = (samples, orbits, options)
+        sources = sources_of(index, field_file)
+        in_force = _in_force(active)
+        calibration = calibrate(
+            *what, index=sources.indices, field_file=sources.file, active=in_force, progress=progress
+        )
     record = parameter_set(calibration, inputs)
     if residuals is not None:
         _write_residuals(calibration, residuals)

@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Final, TypeVar
 
 import click
 
-from magcal_core.errors import OptionError
+from magcal_core.errors import InputError, OptionError
+from magcal_core.field.gaps import INDEX_GAPS
 
 if TYPE_CHECKING:
     import numpy as np
     from rich.progress import Progress, TaskID
 
+    from magcal_core.field.sources import FieldSources
     from magcal_core.orbit import Orbit
 
 INPUT_FILE: Final = click.Path(exists=True, dir_okay=False, path_type=Path)
@@ -125,6 +127,18 @@ def added(function: F, options: Sequence[Callable[[F], F]]) -> F:
     return function
 
 
+def field_options(function: F) -> F:
+    """Add the options of what a field model is made from beside its name."""
+    return added(function, [
+        click.option("--index", type=INPUT_FILE, multiple=True,
+                     help="Index of the external field (RC, Dst, Kp), any number; of one kind the later one holds."),
+        click.option("--field-file", type=INPUT_FILE, help="Coefficients, .shc or .COF, for a field with `file`."),
+        click.option("--index-gap", type=click.Choice(INDEX_GAPS),
+                     help="Where the index has no value: refuse, or its mean.  [default: refuse]"),
+        click.option("--quiet-only", is_flag=True, default=None, help="Only samples of quiet hours; needs Kp."),
+    ])  # fmt: skip
+
+
 def usage_error(error: OptionError) -> click.UsageError:
     """Return the wrong use of a command that an option's fault is."""
     return click.UsageError("\n".join(str(fault) for fault in error.faults) or error.message)
@@ -141,6 +155,28 @@ def orbits_of_file(path: Path) -> list[Orbit]:
     from magcal_core.orbit.sources import parse_orbits
 
     return parse_orbits(path.read_bytes())
+
+
+def sources_of(index: Sequence[Path], field_file: Path | None) -> FieldSources:
+    """Return what the files of ``--index`` and ``--field-file`` hold; a fault's message says in which of them it is.
+
+    Raises
+    ------
+    IndexFormatError, FieldFileError
+        A file is none that magcal reads.
+    """
+    from magcal_core.field.coefficient_files import read_field_file
+    from magcal_core.field.index_files import read_index
+    from magcal_core.field.sources import FieldSources
+
+    indices = []
+    for path in index:
+        try:
+            indices.append(read_index(path))
+        except InputError as error:
+            error.message = f"{path}: {error.message}"
+            raise
+    return FieldSources(tuple(indices), None if field_file is None else read_field_file(field_file))
 
 
 def nearest(orbits: Sequence[Orbit], t_utc: np.datetime64) -> Orbit:

@@ -16,8 +16,10 @@ from app.cli.options import (
     Numbers,
     VectorCommand,
     added,
+    field_options,
     nearest,
     orbits_of_file,
+    sources_of,
     usage_error,
 )
 from magcal_core.errors import InputError, OptionError
@@ -65,7 +67,8 @@ def _disturbance_options(function: F) -> F:
 @click.option("--rate", "rate_deg_s", type=Numbers(1, 3), default="0.76", show_default=True,
               help="Tumbling rate, deg/s: its size, or its body components.")  # fmt: skip
 @click.option("--inertia", type=VECTOR, help="Principal moments, any unit.  [default: those of a 7.5 kg box]")
-@click.option("--field", default="igrf", show_default=True, help="Field model: igrf, igrf-13, dipole, ...")
+@click.option("--field", default="igrf", show_default=True, help="Field model: igrf, igrf-13, dipole, igrf-14+rc, ...")
+@field_options
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @_disturbance_options
 @click.option("-o", "--output", type=OUTPUT_FILE, required=True,
@@ -84,6 +87,10 @@ def command(
     rate_deg_s: tuple[float, ...],
     inertia: tuple[float, ...] | None,
     field: str,
+    index: tuple[Path, ...],
+    field_file: Path | None,
+    index_gap: str | None,
+    quiet_only: bool | None,
     seed: int,
     output: Path,
     as_json: bool,
@@ -108,6 +115,7 @@ def command(
         raise click.UsageError(f"{output}: the ending tells no format; use .csv, .ndjson, .json or .parquet")
     t_start = None if start is None else _instant(start)
     orbit = _orbit(tle, state, t_start)
+    sources = sources_of(index, field_file)
     try:
         sensor = SensorModel(np.array(bias_nt), np.array(scale), np.array(nonorthogonality_deg))
         simulation = simulate(
@@ -116,7 +124,9 @@ def command(
             orbit.epoch_utc if t_start is None else t_start,
             duration_s,
             step_s,
-            field_model=field_model(field),
+            field_model=field_model(field, index_gap=index_gap or "refuse", sources=sources),
+            sources=sources,
+            quiet_only=bool(quiet_only),
             rate_deg_s=rate_deg_s[0] if len(rate_deg_s) == 1 else rate_deg_s,
             moments=inertia or DEKART_MOMENTS,
             disturbances=Disturbances(**disturbances),  # type: ignore[arg-type]

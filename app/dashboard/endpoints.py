@@ -30,6 +30,7 @@ from app.dashboard.schemas import (
 )
 from app.http.dependencies import Blobs, Db
 from app.http.schemas import Page, utc_text
+from app.indices.repository import sources_of_record
 from app.orbits.parsing import orbit_of
 from app.orbits.repository import OrbitRepository
 from app.parameter_sets.bias_paths import path_of_set
@@ -118,7 +119,9 @@ def get_session_residual(
             orbits = OrbitRepository(session, SYSTEM, telemetry.satellite_id)
             near = orbits.around(telemetry.data_from, telemetry.data_until, 14.0)
     samples = _samples(session_id, caller, db, store)
-    residual = residual_under(samples, [orbit_of(one.content) for one in near], record_of(row))
+    with db.read() as session:
+        sources = sources_of_record(session, row.record, samples.t_utc)
+    residual = residual_under(samples, [orbit_of(one.content) for one in near], record_of(row), sources)
     return ResidualSummary(
         parameter_set_id=row.id,
         samples=residual.size,

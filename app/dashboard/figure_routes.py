@@ -71,6 +71,8 @@ def parameter_set_figure(name: str, record: ParameterSetRecord, residuals: Resid
         return figures.ablation_bar(ablation_rows(record), look)
     if residuals is None:
         raise NotFoundError("this parameter set has no residual table")
+    if name == "residual-time":
+        return figures.residual_time(residuals, look, figures.IndexSeries.of_record(dict(record)))
     return OF_RESIDUALS[name](residuals, look)
 
 

@@ -14,6 +14,7 @@ from sqlalchemy.orm import Session
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.errors import ConflictError
+from app.indices.repository import FIELD_FILE, check_field
 from app.jobs.endings import tell_ended
 from app.jobs.fair_order import take_turns
 from app.jobs.queue import Queue
@@ -41,6 +42,8 @@ def submit_reprocessing(
         With these, more than ``most_queued`` jobs of the caller's key would wait.
     """
     options = CalibrationOptions.from_dict(body.options).to_dict()
+    file = {} if body.field_file is None else {FIELD_FILE: body.field_file}
+    check_field(session, options | file)
     chosen = _sessions(session, caller, body)
     if not chosen:
         raise ConflictError("there is no closed session to reprocess")
@@ -50,7 +53,7 @@ def submit_reprocessing(
         caller,
         KIND,
         body.priority,
-        options,
+        options | file,
         state="running",
         satellite_id=satellites.pop() if len(satellites) == 1 else None,
         started_at=utc_now(),
@@ -63,7 +66,7 @@ def submit_reprocessing(
             caller,
             "calibration",
             body.priority,
-            CalibrationOptions.from_dict({"noise_nt": noise_nt[_place(row)]} | body.options).to_dict(),
+            CalibrationOptions.from_dict({"noise_nt": noise_nt[_place(row)]} | body.options).to_dict() | file,
             satellite_id=row.satellite_id,
             magnetometer_id=row.magnetometer_id,
             parent_id=parent.id,

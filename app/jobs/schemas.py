@@ -24,6 +24,7 @@ class CalibrationBody(JobBody, CalibrationOptionsBody):
 
     kind: Literal["calibration"]
     session_ids: list[Identifier] = Field(min_length=1, max_length=1000)
+    field_file: Identifier | None = Field(None, description="Coefficients, for a field with `file`.")
 
 
 class ReprocessingBody(CalibrationOptionsBody):
@@ -33,6 +34,7 @@ class ReprocessingBody(CalibrationOptionsBody):
     magnetometer: Slug | None = None
     since: UtcTime | None = None
     until: UtcTime | None = None
+    field_file: Identifier | None = Field(None, description="Coefficients, for a field with `file`.")
     priority: int = Field(-50, ge=-100, le=100, description="Below 0, so that a pass goes first.")
 
 

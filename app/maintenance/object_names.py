@@ -13,6 +13,8 @@ from app.jobs.tables import Job
 from app.parameter_sets.tables import ParameterSet
 from app.sessions.tables import Chunk, TelemetrySession
 
+KINDS: Final = frozenset({"raw", "columns", "residuals", "moments", "series"})
+"""What an object's key begins with."""
 MOST_DIGITS: Final = 9
 """Of a chunk's number, which is an integer of 32 bits."""
 

@@ -16,6 +16,7 @@ from app.http.dependencies import Blobs, Config, Db
 from app.http.receiving import Upload, receive
 from app.http.schemas import Filter, Identifier, Record
 from app.http.strict_json import StrictJsonRoute
+from app.indices.repository import sources_of_record
 from app.orbits.parsing import orbit_of
 from app.orbits.repository import OrbitRepository
 from app.parameter_sets.repository import ParameterSetRepository
@@ -131,7 +132,8 @@ def get_session_monitoring(
         chosen = _parameter_set(session, caller, row, query.parameter_set)
         near = _orbits(session, row)
         samples = _samples(session, caller, row, store)
-    judged = monitor(samples, near, chosen.record, max_orbit_age_days=ORBIT_AGE_DAYS).to_dict()
+        sources = sources_of_record(session, chosen.record, samples.t_utc)
+    judged = monitor(samples, near, chosen.record, max_orbit_age_days=ORBIT_AGE_DAYS, sources=sources).to_dict()
     ids = {"session_id": row.id, "parameter_set_id": chosen.id}
     return MonitoringRead.model_validate(without_nan(judged | ids))
 

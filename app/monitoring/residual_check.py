@@ -8,20 +8,25 @@ from typing import Final
 from app.errors import ConflictError
 from app.records.parameter_set import ParameterSetRecord
 from magcal_core.arrays import Floats
-from magcal_core.field.models import field_model
+from magcal_core.field.sources import FieldSources
 from magcal_core.observations import Observations, residuals_nt
 from magcal_core.orbit import Orbit
 from magcal_core.reference.columns import with_reference
 from magcal_core.samples import Samples
 from magcal_core.sensor.parameters import Parameters
 from magcal_core.sensor.regressors import NO_TIME_BASE, TIME_REGRESSOR
+from magcal_core.sessions import field_of_record
 
 MOST_SAMPLES: Final = 20_000
 """Samples that are looked at; a longer session is thinned evenly."""
 
 
-def residual_under(samples: Samples, orbits: Sequence[Orbit], record: ParameterSetRecord) -> Floats:
+def residual_under(
+    samples: Samples, orbits: Sequence[Orbit], record: ParameterSetRecord, sources: FieldSources | None = None
+) -> Floats:
     """Return |corrected| - |model|, shape (n,), nT, of the usable ``samples`` under the parameters of ``record``.
+
+    ``sources``: the index and the coefficients that its field model needs.
 
     Raises
     ------
@@ -36,7 +41,7 @@ def residual_under(samples: Samples, orbits: Sequence[Orbit], record: ParameterS
         raise ConflictError(NO_TIME_BASE)
     used = samples.take(samples.is_used)
     thinned = used.take(slice(None, None, max(len(used) // MOST_SAMPLES, 1)))
-    field = field_model(record["field_model"])
+    field = field_of_record(dict(record), sources)
     referenced, _ = with_reference(thinned, orbits, field, time_offset_s=parameters.time_offset_s or 0.0)
     if is_since:
         parameters = parameters.at_time_base(referenced.t_utc[referenced.is_used][0])

@@ -14,8 +14,10 @@ class CalibrationOptionsBody(Body):
 
     method: Literal["scalar", "scalar-hooke-jeeves", "vector", "vector-closed-form"] | None = None
     orbit: Literal["sgp4", "numerical"] | None = None
-    field: str | None = Field(None, max_length=32)
-    field_max_degree: int | None = Field(None, ge=1, le=13)
+    field: str | None = Field(None, max_length=64)
+    field_max_degree: int | None = Field(None, ge=1, le=250)
+    index_gap: Literal["refuse", "mean"] | None = Field(None, description="Where the index of the field has no value.")
+    quiet_only: bool | None = Field(None, description="Only samples of quiet hours; needs the index Kp.")
     time_offset: Literal["auto", "none", "estimate"] | None = None
     time_drift: bool | None = None
     regressors: list[str] | Literal["auto"] | None = None

@@ -72,6 +72,8 @@ class ProvenanceRecord(TypedDict, total=False):
     inputs: list[dict[str, object]]
     orbits: list[dict[str, object]]
     options: dict[str, object]
+    indices: list[dict[str, object]]
+    field_file: dict[str, object] | None
 
 
 class ParameterSetIds(TypedDict, total=False):

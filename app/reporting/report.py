@@ -125,6 +125,8 @@ def command_line(record: ParameterSetRecord) -> str:
         "orbit": options.get("orbit"),
         "field": options.get("field"),
         "field-max-degree": options.get("field_max_degree"),
+        "field-file": "FILE" if record["provenance"].get("field_file") else None,
+        "index-gap": options.get("index_gap") if options.get("index_gap") != "refuse" else None,
         "time-offset": options.get("time_offset"),
         "robust": options.get("robust"),
         "noise-model": options.get("noise_model"),
@@ -140,8 +142,9 @@ def command_line(record: ParameterSetRecord) -> str:
         flags["regressors"] = regressors if isinstance(regressors, str) else ",".join(str(name) for name in regressors)
     needs_orbit = record["orbit_model"] in {"sgp4", "numerical"}
     given = [f"--{name} {value}" for name, value in flags.items() if value not in (None, "")]
-    drift = ["--time-drift"] if options.get("time_drift") is True else []
-    return " ".join(["magcal calibrate TELEMETRY", *(["--tle TLE"] if needs_orbit else []), *given, *drift, "--json"])
+    given += ["--index INDEX"] if record["provenance"].get("indices") else []
+    given += [f"--{name}" for name in ("time-drift", "quiet-only") if options.get(name.replace("-", "_")) is True]
+    return " ".join(["magcal calibrate TELEMETRY", *(["--tle TLE"] if needs_orbit else []), *given, "--json"])
 
 
 def print_pdf(html: str, target: Path) -> None:
@@ -219,7 +222,7 @@ def _error(errors: ParametersRecord, name: str) -> float | None:
 def _plates(record: ParameterSetRecord, residuals: ResidualTable | None) -> list[Plate]:
     made: list[tuple[str, str, str, Figure]] = []
     if residuals is not None:
-        made += _residual_plates(residuals)
+        made += _residual_plates(residuals, figures.IndexSeries.of_record(dict(record)))
     made.append(
         (
             "correlation",
@@ -235,7 +238,7 @@ def _plates(record: ParameterSetRecord, residuals: ResidualTable | None) -> list
     return [Plate(key, title, caption, _sized_json(figure)) for key, title, caption, figure in made]
 
 
-def _residual_plates(residuals: ResidualTable) -> list[tuple[str, str, str, Figure]]:
+def _residual_plates(residuals: ResidualTable, index: figures.IndexSeries | None) -> list[tuple[str, str, str, Figure]]:
     along = residuals.residual_nt
     scalar = along if along.ndim == 1 else residuals.corrected_nt - residuals.model_nt
     plates = [
@@ -248,8 +251,9 @@ def _residual_plates(residuals: ResidualTable) -> list[tuple[str, str, str, Figu
         (
             "residual-time",
             "Residual against time",
-            "A pattern that repeats with the orbit or the spin is an error that the model does not have.",
-            figures.residual_time(residuals),
+            "A pattern that repeats with the orbit or the spin is an error that the model does not have."
+            + ("" if index is None else f" Below: the index {index.name} of the external field."),
+            figures.residual_time(residuals, index=index),
         ),
         (
             "histogram",

@@ -53,6 +53,7 @@ class Calibration:
     residuals: ResidualTable
     options: Mapping[str, object]
     orbits: Sequence[Mapping[str, object]] = ()
+    sources: Mapping[str, object] = field(default_factory=dict)
     extras: Mapping[str, object] = field(default_factory=dict)
     moments: FitMoments | None = None
 
@@ -84,5 +85,9 @@ class Calibration:
             "observability": self.observability.to_dict(),
             "warnings": list(self.warnings),
             **self.extras,
-            "provenance": {"orbits": [dict(orbit) for orbit in self.orbits], "options": dict(self.options)},
+            "provenance": {
+                "orbits": [dict(orbit) for orbit in self.orbits],
+                "options": dict(self.options),
+                **self.sources,
+            },
         }

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import lru_cache
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -17,6 +14,7 @@ from magcal_core.constants import EARTH_RADIUS_MAGNETIC_KM
 from magcal_core.errors import ModelRangeError
 from magcal_core.field.harmonics import ComponentSeries, component_series
 from magcal_core.field.kernel import BLOCK, sum_harmonics
+from magcal_core.field.parts import sum_of_parts
 from magcal_core.field.shc import GaussCoefficients, igrf_coefficients
 from magcal_core.orbit.earth.timescales import nanoseconds
 
@@ -25,8 +23,6 @@ MIN_RADIUS_KM: Final = 6350.0
 """Below 7 km under the poles the sources of the crust are no longer inside."""
 MAX_RADIUS_KM: Final = 5.0 * EARTH_RADIUS_MAGNETIC_KM
 """Beyond 5 Earth radii the currents of the magnetosphere, which the IGRF leaves out, are no longer small."""
-
-_SAMPLES_PER_THREAD: Final = 25_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +71,7 @@ class Igrf:
         if places.shape != (len(stamps), 3):
             raise ModelRangeError(f"positions have shape {places.shape}; want ({len(stamps)}, 3)")
         self._check_times(stamps, gauss)
-        order = _by_interval(stamps, gauss.knots_ns)
+        order = by_interval(stamps, gauss.knots_ns)
         if order is None:
             return self._evaluate(stamps, places, gauss, series)
         field_nt = np.empty_like(places)
@@ -92,17 +88,9 @@ class Igrf:
             outside: int = sum_harmonics(stamps[rows], places[rows], EARTH_RADIUS_MAGNETIC_KM, *tables, field_nt[rows])
             return outside
 
-        n = len(stamps)
-        workers = max(1, min(len(os.sched_getaffinity(0)), n // _SAMPLES_PER_THREAD))
-        edges = np.linspace(0, n, workers + 1).astype(int)
-        parts = [slice(a, b) for a, b in pairwise(edges)]
-        if workers == 1:
-            outside = part(parts[0])
-        else:
-            with ThreadPoolExecutor(workers) as pool:
-                outside = sum(pool.map(part, parts))
+        outside = sum_of_parts(len(stamps), part)
         if outside:
-            raise _radius_error(self.name, places)
+            raise radius_error(self.name, places)
         return field_nt
 
     def _check_times(self, stamps: NDArray[np.int64], gauss: GaussCoefficients) -> None:
@@ -124,7 +112,7 @@ def _tables(
     return gauss, component_series(gauss, max_degree)
 
 
-def _by_interval(stamps: NDArray[np.int64], knots_ns: NDArray[np.int64]) -> NDArray[np.intp] | None:
+def by_interval(stamps: NDArray[np.int64], knots_ns: NDArray[np.int64]) -> NDArray[np.intp] | None:
     """Return an order in which intervals between knots do not alternate, or None where they hardly do."""
     if len(stamps) <= BLOCK:
         return None
@@ -137,7 +125,8 @@ def _by_interval(stamps: NDArray[np.int64], knots_ns: NDArray[np.int64]) -> NDAr
     return np.argsort(interval, kind="stable")
 
 
-def _radius_error(name: str, places: Floats) -> ModelRangeError:
+def radius_error(name: str, places: Floats) -> ModelRangeError:
+    """Return the error that tells of the first of ``places``, shape (n, 3), km, at which no such field is used."""
     radius_km = np.linalg.norm(places, axis=1)
     is_good = (radius_km >= MIN_RADIUS_KM) & (radius_km <= MAX_RADIUS_KM)
     first = int(np.flatnonzero(~is_good)[0])

@@ -13,8 +13,13 @@ from magcal_core.arrays import Floats, Times
 from magcal_core.constants import EARTH_RADIUS_MAGNETIC_KM, EARTH_ROTATION_RAD_S
 from magcal_core.errors import ModelRangeError
 from magcal_core.field import FieldModel
+from magcal_core.field.external_knowledge import ExternalKnowledge
+from magcal_core.field.file_model import FileField
+from magcal_core.field.igrf import MAX_DEGREE
+from magcal_core.field.summed import SummedField
 from magcal_core.numerics.vectors import lengths
 from magcal_core.orbit.earth.eop import earth_orientation, ut1_prediction_error_s
+from magcal_core.orbit.earth.timescales import nanoseconds
 from magcal_core.samples import Samples
 
 EPOCH_ERROR_KM: Final = 0.64
@@ -36,9 +41,12 @@ PREDICTION_NT_PER_YEAR: Final = 8.0
 """Growth of a predicted field's error, nT a year: IGRF-13 was 16 to 17 nT off IGRF-14 in 2022."""
 CRUST_NT2_PER_DEGREE: Final = 20.0
 """Power of each degree above 13 at the Earth's surface, nT^2: nearly flat in models of the crust [MAUS]_."""
-EXTERNAL_MAGNITUDE_NT: Final = 25.0
-EXTERNAL_COMPONENT_NT: Final = 35.0
-"""Ring current, ionosphere and field-aligned currents on quiet days, nT, in |B| and in a component [OLSEN]_."""
+BESIDE_MAGNITUDE_NT: Final = 2.0
+BESIDE_COMPONENT_NT: Final = 3.0
+"""External field that no index tells of, nT, in |B| and in a component: ionosphere and field-aligned currents."""
+EXTERNAL_MAGNITUDE_NT: Final = 22.0
+EXTERNAL_COMPONENT_NT: Final = 18.0
+"""All external field, nT, rms of |B| and of a component over 2015 to 2026, where no place is known [CHAOS]_."""
 
 _PLACES: Final = 64
 _STEP_KM: Final = 5.0
@@ -71,6 +79,7 @@ class ReferenceSource:
     is_vector : whether components count, or |B| only.
     clock_error_s : standard error of an estimated clock offset, s; None where none was estimated.
     interpolation_km : how far an ephemeris is off between its points at the most, km.
+    external : what is known of the external field; None: what the model itself tells.
     """
 
     orbit_model: str
@@ -79,6 +88,12 @@ class ReferenceSource:
     is_vector: bool = False
     clock_error_s: float | None = None
     interpolation_km: float = 0.0
+    external: ExternalKnowledge | None = None
+
+    @property
+    def known(self) -> ExternalKnowledge:
+        """What is known of the external field."""
+        return ExternalKnowledge.of(self.field) if self.external is None else self.external
 
 
 def error_budget(
@@ -258,29 +273,73 @@ def _sources(samples: Samples, source: ReferenceSource) -> Iterator[BudgetItem]:
         omission = _omission(samples, source)
         if omission is not None:
             yield omission
-        yield _prediction(samples)
+        yield _prediction(samples, source)
     else:
         yield BudgetItem("field_model", None, "the reference came with the telemetry: its field model is not known")
-    crust_nt = crust_rms_nt(radius_km)
+    given = _given_degrees(source.field)
+    crust_nt = crust_rms_nt(radius_km, given)
     height_km = radius_km - EARTH_RADIUS_MAGNETIC_KM
-    yield BudgetItem("crust", crust_nt, f"degrees above 13, {CRUST_NT2_PER_DEGREE:g} nT^2 each, at {height_km:.0f} km")
-    external = EXTERNAL_COMPONENT_NT if source.is_vector else EXTERNAL_MAGNITUDE_NT
-    yield BudgetItem(
-        "external", external, "ring current, ionosphere, auroral currents on quiet days; a storm adds its Dst"
+    degrees = (
+        f"degrees above {MAX_DEGREE}" if given is None else f"degrees above {MAX_DEGREE} but {given[0]} to {given[1]}"
     )
+    yield BudgetItem("crust", crust_nt, f"{degrees}, {CRUST_NT2_PER_DEGREE:g} nT^2 each, at {height_km:.0f} km")
+    yield _external(samples, source)
 
 
-def crust_rms_nt(radius_km: float) -> float:
+def _external(samples: Samples, source: ReferenceSource) -> BudgetItem:
+    """Return the considered errors of the external field along the orbit, and what no index tells of."""
+    beside_nt = BESIDE_COMPONENT_NT if source.is_vector else BESIDE_MAGNITUDE_NT
+    placed = None if samples.r_itrf_km is None else np.isfinite(samples.r_itrf_km).all(axis=1) & samples.is_used
+    if samples.r_itrf_km is None or placed is None or not placed.any():
+        size_nt = EXTERNAL_COMPONENT_NT if source.is_vector else EXTERNAL_MAGNITUDE_NT
+        return BudgetItem("external", size_nt, "ring current and what it induces, where the place is not known")
+    rows = np.flatnonzero(placed)
+    few = rows[:: max(1, len(rows) // _PLACES)]
+    t_utc, r_km = samples.t_utc[few], samples.r_itrf_km[few]
+    errors = source.known.errors(nanoseconds(samples.t_utc[rows]), nanoseconds(t_utc), r_km)
+    sizes = np.stack([one.error_nt for one in errors])
+    if source.is_vector:
+        squares = np.mean(sizes**2, axis=(1, 2))
+    else:
+        main_nt = source.field.field_itrf_nt(t_utc, r_km)
+        main_nt /= np.linalg.norm(main_nt, axis=1, keepdims=True)
+        squares = np.mean(np.einsum("mni,ni->mn", sizes, main_nt) ** 2, axis=1)
+    words = ", ".join(f"{one.source.removeprefix('external_')} {one.why}" for one in errors)
+    return BudgetItem("external", float(np.sqrt(squares.sum() + beside_nt**2)), f"{words}; {beside_nt:g} nT beside")
+
+
+def _given_degrees(field: FieldModel) -> tuple[int, int] | None:
+    """Return the first and the last degree above 13 that a file gives; None where none does."""
+    file = field.crust or field.main if isinstance(field, SummedField) else field
+    if not isinstance(file, FileField) or file.max_degree <= MAX_DEGREE:
+        return None
+    return max(file.min_degree, MAX_DEGREE + 1), file.max_degree
+
+
+def crust_rms_nt(radius_km: float, given: tuple[int, int] | None = None) -> float:
     """Return the root mean square of a component, nT, of the crust's field above degree 13 at ``radius_km``.
+
+    ``given``: first and last degree that the reference has.
 
     Notes
     -----
     <|B|^2> = sum over n > 13 of R_n (a/r)^(2n+4) with a flat surface spectrum R_n: a geometric series.
     """
     share = (EARTH_RADIUS_MAGNETIC_KM / radius_km) ** 2
+    low, high = (MAX_DEGREE + 1, MAX_DEGREE) if given is None else given
     if share >= 1.0:
-        return float(np.sqrt(CRUST_NT2_PER_DEGREE * 120 / 3.0))
-    return float(np.sqrt(CRUST_NT2_PER_DEGREE * share**16 / (1.0 - share) / 3.0))
+        return float(np.sqrt(CRUST_NT2_PER_DEGREE * max(0, 120 - (high - low + 1)) / 3.0))
+    # share^(n+2) summed from each first degree on.
+    powers = share ** (MAX_DEGREE + 3) - share ** (low + 2) + share ** (high + 3)
+    return float(np.sqrt(CRUST_NT2_PER_DEGREE * max(0.0, powers) / (1.0 - share) / 3.0))
+
+
+def _internal(field: FieldModel) -> FieldModel:
+    """Return the main field of a model to degree 13, which is what there is to compare with."""
+    main = field.main if isinstance(field, SummedField) else field
+    if isinstance(main, FileField) and main.min_degree <= MAX_DEGREE < main.max_degree:
+        return FileField(main.file, main.min_degree, MAX_DEGREE, main.name)
+    return main
 
 
 def _omission(samples: Samples, source: ReferenceSource) -> BudgetItem | None:
@@ -288,20 +347,22 @@ def _omission(samples: Samples, source: ReferenceSource) -> BudgetItem | None:
     from magcal_core.field.igrf import Igrf
 
     places = _places(samples)
-    full = Igrf()
-    if places is None or source.field.name == full.name:
+    full, internal = Igrf(), _internal(source.field)
+    if places is None or internal.name == full.name:
         return None
     t_utc, r_km, _ = places
     try:
-        used, whole = source.field.field_itrf_nt(t_utc, r_km), full.field_itrf_nt(t_utc, r_km)
+        used, whole = internal.field_itrf_nt(t_utc, r_km), full.field_itrf_nt(t_utc, r_km)
     except ModelRangeError:
         return None
     size = _difference_nt(used, whole, is_vector=source.is_vector)
-    return BudgetItem("field_model", size, f"{source.field.name} against {full.name} along this orbit")
+    return BudgetItem("field_model", size, f"{internal.name} against {full.name} along this orbit")
 
 
-def _prediction(samples: Samples) -> BudgetItem:
+def _prediction(samples: Samples, source: ReferenceSource) -> BudgetItem:
     """Return how well the main field itself is known at the time of the data."""
+    if isinstance(_internal(source.field), FileField):
+        return BudgetItem("secular_variation", None, "the error of the file's main field is not known here")
     days = float((samples.t_utc[len(samples) // 2] - np.datetime64("2000-01-01")) / np.timedelta64(1, "D"))
     year = 2000.0 + days / 365.25
     if year <= 2020.0:

@@ -10,9 +10,10 @@ where a node has no field, the samples are asked for one by one.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -20,15 +21,18 @@ from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats, Nanoseconds, Times
 from magcal_core.constants import EARTH_ROTATION_RAD_S
-from magcal_core.errors import ModelRangeError, OrbitFormatError, OrbitMissingError, PropagationError
+from magcal_core.errors import IndexRangeError, ModelRangeError, OrbitFormatError, OrbitMissingError, PropagationError
 from magcal_core.field import FieldModel
+from magcal_core.field.file_model import FileField
+from magcal_core.field.igrf import MAX_DEGREE, Igrf
+from magcal_core.field.summed import SummedField
 from magcal_core.numerics.vectors import lengths
 from magcal_core.orbit import Orbit
 from magcal_core.orbit.choose import BoundedOrbit
 from magcal_core.orbit.earth.earth_fixed import itrf_to_gcrf_fast
 from magcal_core.orbit.earth.timescales import nanoseconds
 from magcal_core.orbit.messages.elements import elements_from_state
-from magcal_core.orbit.propagators.dense import MIN_SAMPLES, Polynomials, interval_ns, polynomials
+from magcal_core.orbit.propagators.dense import MIN_SAMPLES, Polynomials, interval_ns, polynomials, times_needed
 
 Rows = NDArray[np.intp] | slice
 
@@ -41,8 +45,43 @@ _ROWS: Final = 1 << 18
 """Samples whose field is taken at a time: more would keep vectors that nobody asks for."""
 _ROWS_INTERPOLATED: Final = 1 << 14
 """The same where it is interpolated: these vectors stay in the cache."""
+_CORNERS_AROUND: Final = 8
+"""Intervals before the first and after the last sample in which a corner counts: polynomials reach that far."""
 _MOST_ROUGH: Final = 0.5
 """Part of the intervals without a polynomial from which on none is used."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stretches:
+    """Polynomials of a field that has corners in time: others before each corner than after it.
+
+    Attributes
+    ----------
+    corners_ns : shape (k,)
+    between : tuple of k + 1 Polynomials, None where no sample is.
+    """
+
+    corners_ns: Nanoseconds
+    between: tuple[Polynomials | None, ...]
+
+    @property
+    def gap_fraction(self) -> float:
+        """Part of the intervals with samples that have no polynomial."""
+        found = [pieces for pieces in self.between if pieces is not None]
+        counts = [len(pieces.coefficients) for pieces in found]
+        gaps = [pieces.gap_fraction * count for pieces, count in zip(found, counts, strict=True)]
+        return sum(gaps) / sum(counts) if found else 1.0
+
+    def at(self, stamps_ns: Nanoseconds) -> Floats:
+        """Return the function at ``stamps_ns``, shape (n, 3); NaN where no polynomial holds."""
+        values = np.full((len(stamps_ns), 3), np.nan)
+        which = np.searchsorted(self.corners_ns, stamps_ns, side="right")
+        for number in np.unique(which):
+            pieces = self.between[number]
+            if pieces is not None:
+                rows = np.flatnonzero(which == number)
+                values[rows] = pieces.at(stamps_ns[rows])
+        return values
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +91,7 @@ class FieldAlong:
     orbit: Orbit
     field: FieldModel
     is_gcrf: bool
-    pieces: Polynomials
+    pieces: Polynomials | Stretches
 
     def at(self, t_utc: Times) -> Floats:
         """Return the field at ``t_utc``, shape (n, 3), nT, within 0.01 nT of the model's at the orbit's position."""
@@ -81,21 +120,97 @@ def field_along(
             radii_km = lengths(r_itrf_km)
             ends = [int(radii_km.argmin()), int(radii_km.argmax())]
             field.field_itrf_nt(t_utc[ends], r_itrf_km[ends])
-        pieces = polynomials(
-            # Times that are there twice count once: a reading that was sent again changes no other's reference.
-            stamps_ns if np.all(stamps_ns[1:] > stamps_ns[:-1]) else np.unique(stamps_ns),
-            int(orbit.epoch_utc.astype("datetime64[ns]").astype(np.int64)),
-            _interval_ns(orbit),
-            partial(_field_at_nodes, orbit, field, is_gcrf),
-            samples_per_node=SAMPLES_PER_NODE / uses,
-            tolerance=TOLERANCE_NT,
-            margin=int(uses > 1),
-        )
-    except (ModelRangeError, PropagationError, OrbitFormatError):
+        # Times that are there twice count once: a reading that was sent again changes no other's reference.
+        once_ns = stamps_ns if np.all(stamps_ns[1:] > stamps_ns[:-1]) else np.unique(stamps_ns)
+        pieces = _pieces(_Grid.of(orbit, field, uses), orbit, field, once_ns, is_gcrf=is_gcrf)
+    except (ModelRangeError, IndexRangeError, PropagationError, OrbitFormatError):
         return None
     if pieces is None or pieces.gap_fraction > _MOST_ROUGH:
         return None
     return FieldAlong(orbit, field, is_gcrf, pieces)
+
+
+@dataclass(frozen=True, slots=True)
+class _Grid:
+    """Where the nodes along an orbit lie, and how many samples each must stand for."""
+
+    epoch_ns: int
+    step_ns: int
+    samples_per_node: float
+    margin: int
+
+    @classmethod
+    def of(cls, orbit: Orbit, field: FieldModel, uses: int) -> _Grid:
+        epoch_ns = int(orbit.epoch_utc.astype("datetime64[ns]").astype(np.int64))
+        # Harmonics of degree 60 pass the satellite sixty times a turn: the nodes stand closer together.
+        turn_rad = _TURN_RAD * min(1.0, MAX_DEGREE / highest_degree(field))
+        return cls(epoch_ns, _interval_ns(orbit, turn_rad), SAMPLES_PER_NODE / uses, int(uses > 1))
+
+    def polynomials(self, stamps_ns: Nanoseconds, values: Callable[[Nanoseconds], Floats]) -> Polynomials | None:
+        """Return the polynomials of a field for the times ``stamps_ns``, from its values at nodes."""
+        return polynomials(
+            stamps_ns,
+            self.epoch_ns,
+            self.step_ns,
+            values,
+            samples_per_node=self.samples_per_node,
+            tolerance=TOLERANCE_NT,
+            margin=self.margin,
+        )
+
+
+def _pieces(
+    grid: _Grid, orbit: Orbit, field: FieldModel, stamps_ns: Nanoseconds, *, is_gcrf: bool
+) -> Polynomials | Stretches | None:
+    """Return the polynomials of the field: where an index drives it, they end at the middles of hours.
+
+    There the index has a corner. The polynomials before it follow the index as if it went straight on.
+    """
+    if not isinstance(field, SummedField) or field.external is None or field.external.index is None:
+        return grid.polynomials(stamps_ns, partial(_field_at_nodes, orbit, field, is_gcrf))
+    around = _CORNERS_AROUND * grid.step_ns
+    corners_ns = field.corners_ns(int(stamps_ns[0]) - around, int(stamps_ns[-1]) + around)
+    needed_ns = times_needed(stamps_ns, grid.epoch_ns, grid.step_ns, margin=grid.margin)
+    if needed_ns is None:
+        return None
+    places_km = _places_at_nodes(orbit, needed_ns)
+    which = np.searchsorted(corners_ns, stamps_ns, side="right")
+    firsts = np.searchsorted(which, np.arange(len(corners_ns) + 2))
+    between: list[Polynomials | None] = []
+    for first, last in pairwise(firsts):
+        part_ns = stamps_ns[first:last]
+        straight = field.straight_at(int(part_ns[0])) if len(part_ns) else field
+        values = partial(_field_at_places, straight, is_gcrf, needed_ns, places_km)
+        between.append(grid.polynomials(part_ns, values) if len(part_ns) else None)
+    return Stretches(corners_ns, tuple(between))
+
+
+def highest_degree(field: FieldModel) -> int:
+    """Return the highest degree of the harmonics that a model sums; 13 where it does not say."""
+    if isinstance(field, SummedField):
+        return max(highest_degree(field.main), 1 if field.crust is None else field.crust.max_degree)
+    return field.max_degree if isinstance(field, (Igrf, FileField)) else MAX_DEGREE
+
+
+def _places_at_nodes(orbit: Orbit, nodes_ns: Nanoseconds) -> Floats:
+    """Return the positions at nodes, shape (n, 3), ITRF, km; NaN at those that an ephemeris does not cover."""
+    nodes = nodes_ns.view("datetime64[ns]")
+    if not isinstance(orbit, BoundedOrbit):
+        return orbit.position_itrf_km(nodes)
+    r_km, covered = np.full((len(nodes), 3), np.nan), orbit.covers(nodes)
+    r_km[covered] = orbit.position_itrf_km(nodes[covered])
+    return r_km
+
+
+def _field_at_places(
+    field: FieldModel, is_gcrf: bool, known_ns: Nanoseconds, places_km: Floats, nodes_ns: Nanoseconds
+) -> Floats:
+    """Return the field at nodes whose places are among those that are known; NaN where there is no place."""
+    r_km = places_km[np.searchsorted(known_ns, nodes_ns)]
+    b_nt, covered = np.full((len(nodes_ns), 3), np.nan), np.isfinite(r_km[:, 0])
+    nodes = nodes_ns.view("datetime64[ns]")
+    b_nt[covered] = field_at(field, nodes[covered], r_km[covered], is_gcrf=is_gcrf)
+    return b_nt
 
 
 def _field_at_nodes(orbit: Orbit, field: FieldModel, is_gcrf: bool, nodes_ns: Nanoseconds) -> Floats:
@@ -131,15 +246,18 @@ def positions_km(orbit: Orbit, t_utc: Times) -> Floats:
     return orbit.position_itrf_km(times)[of_sample]
 
 
-def _interval_ns(orbit: Orbit) -> int:
-    """Return the distance of the nodes, nanoseconds, from the ellipse of the second that follows the epoch."""
+def _interval_ns(orbit: Orbit, turn_rad: float) -> int:
+    """Return the distance of the nodes, nanoseconds, ``turn_rad`` at the perigee.
+
+    From the ellipse of the second that follows the epoch.
+    """
     start = orbit.epoch_utc.astype("datetime64[ns]")
     before_km, after_km = orbit.position_itrf_km(start + np.array([0, 1_000_000_000], "timedelta64[ns]"))
     r_km = 0.5 * (before_km + after_km)
     v_km_s = after_km - before_km + np.cross([0.0, 0.0, EARTH_ROTATION_RAD_S], r_km)
     ellipse = elements_from_state(r_km, v_km_s)
     a_km, e = ellipse.semi_major_axis_km, ellipse.eccentricity
-    return interval_ns(a_km * (1.0 - e), a_km * (1.0 + e), _TURN_RAD)
+    return interval_ns(a_km * (1.0 - e), a_km * (1.0 + e), turn_rad)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,10 +12,19 @@ from numpy.typing import NDArray
 from magcal_core.arrays import Floats, Times
 from magcal_core.errors import TooManyBadSamplesError
 from magcal_core.field import FieldModel
+from magcal_core.field.external_knowledge import ExternalKnowledge
 from magcal_core.field.models import field_model
+from magcal_core.field.sources import FieldSources
 from magcal_core.observations import Observations
 from magcal_core.orbit import Orbit
-from magcal_core.reference.columns import TELEMETRY_POSITION, ReferenceReport, finite_rows, with_reference
+from magcal_core.orbit.earth.timescales import nanoseconds
+from magcal_core.reference.columns import (
+    TELEMETRY_POSITION,
+    TELEMETRY_REFERENCE,
+    ReferenceReport,
+    finite_rows,
+    with_reference,
+)
 from magcal_core.reference.shifted_times import MovingReference
 from magcal_core.samples import SampleFlag, Samples
 from magcal_core.sensor.regressors import source_of
@@ -62,6 +71,16 @@ class ReferenceOptions(Protocol):
         ...
 
     @property
+    def index_gap(self) -> str:
+        """What is done where the index of the external field has no value."""
+        ...
+
+    @property
+    def quiet_only(self) -> bool:
+        """Whether only samples of quiet hours count."""
+        ...
+
+    @property
     def orbit(self) -> str:
         """``sgp4`` as the elements are meant, or ``numerical``."""
         ...
@@ -84,16 +103,25 @@ class Referenced:
         Where the reference came from.
     orbits, field
         What it was computed with.
+    external : ExternalKnowledge
+        What is known of the external field beside the model.
     """
 
     samples: Samples
     report: ReferenceReport
     orbits: Sequence[Orbit]
     field: FieldModel
+    external: ExternalKnowledge
 
     @classmethod
-    def of(cls, samples: Samples, orbits: Sequence[Orbit], options: ReferenceOptions) -> Referenced:
-        """Return ``samples`` in time order with their reference.
+    def of(
+        cls,
+        samples: Samples,
+        orbits: Sequence[Orbit],
+        options: ReferenceOptions,
+        sources: FieldSources | None = None,
+    ) -> Referenced:
+        """Return ``samples`` in time order with their reference, of which ``sources`` have index and coefficients.
 
         Raises
         ------
@@ -101,17 +129,34 @@ class Referenced:
             What `in_time_order` and `with_reference` raise.
         """
         ordered = in_time_order(samples)
-        field = field_model(options.field, options.field_max_degree)
+        at_hand = FieldSources() if sources is None else sources
+        field = field_model(options.field, options.field_max_degree, index_gap=options.index_gap, sources=at_hand)
+        external = ExternalKnowledge.of(field, at_hand)
         # An instant that is not one has no place: it is kept out before the orbit is asked for it.
         known = ordered.take(~np.isnat(ordered.t_utc))
+        if options.quiet_only:
+            known = known.flagged(SampleFlag.NOT_QUIET, external.not_quiet(nanoseconds(known.t_utc)))
         used = _numerical(orbits, known) if options.orbit == "numerical" else list(orbits)
         filled, report = with_reference(known, used, field, max_orbit_age_days=options.max_orbit_age_days)
-        return cls(filled, report, used, field)
+        return cls(filled, report, used, field, external)
 
     @property
     def age_days(self) -> float:
         """Largest distance between data and orbit, days; 0 where no orbit was used."""
         return max((float(str(orbit["age_days"])) for orbit in self.report.orbits), default=0.0)
+
+    def placed(self) -> tuple[NDArray[np.int64], Floats]:
+        """Return times, nanoseconds since 1970, and places, shape (n, 3), ITRF, km, of the samples that count.
+
+        None of them where the reference came with the telemetry.
+        """
+        r_km = self.samples.r_itrf_km
+        if r_km is None or self.report.orbit_model == TELEMETRY_REFERENCE:
+            return np.zeros(0, np.int64), np.zeros((0, 3))
+        rows = self.samples.is_used & finite_rows(r_km)
+        if rows.all():
+            return nanoseconds(self.samples.t_utc), r_km
+        return nanoseconds(self.samples.t_utc[rows]), r_km[rows]
 
     @property
     def has_orbit(self) -> bool:

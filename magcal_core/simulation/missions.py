@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from scipy.signal import lfilter
 
 from magcal_core.arrays import Floats, Times
 from magcal_core.field import FieldModel
+from magcal_core.field.external import ExternalField
+from magcal_core.field.hourly import hourly
 from magcal_core.field.igrf import Igrf
+from magcal_core.field.index import HOUR_NS, Index
+from magcal_core.field.summed import SummedField
 from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
 from magcal_core.orbit.earth.frames import gcrf_to_itrf
@@ -22,6 +27,9 @@ from magcal_core.simulation.telemetry import Disturbances, Simulation, simulate
 MOST_SAMPLES: Final = 1200
 _EARTH_RADIUS_KM: Final = 6378.135
 _GM_KM3_S2: Final = 398600.8
+_HOURS: Final = 14 * 24
+"""Hours of an index about a mission."""
+_MEAN_NT, _SCATTER_NT, _MEMORY_H, _INDUCED = -13.0, 22.0, 12.0, 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,19 +68,20 @@ class DisplacedOrbit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DisturbedField:
-    """The field as it is: the main field, a uniform external one that breathes, and anomalies of the crust.
+    """The field as it is: the main field, an external one that an hourly index drives, and anomalies of the crust.
 
     Attributes
     ----------
-    external_nt, swing_nt : shape (3,)
-        Constant and oscillating part, period 6 h, nT, ITRF.
+    main : SummedField
+        The main field with the external one.
+    other_nt : shape (3,)
+        A uniform field that no index tells of, nT, ITRF.
     waves_per_km, phases_rad, crust_nt : shape (w, 3), (w,), (w, 3)
         Anomalies as plane waves.
     """
 
     main: FieldModel
-    external_nt: Floats
-    swing_nt: Floats
+    other_nt: Floats
     waves_per_km: Floats
     phases_rad: Floats
     crust_nt: Floats
@@ -83,17 +92,21 @@ class DisturbedField:
         return f"{self.main.name} disturbed"
 
     @classmethod
-    def drawn(cls, random: np.random.Generator) -> DisturbedField:
-        """Return a field on a day like many: 10 to 60 nT of external field, 5 nT of crust."""
-        axis = np.array([0.0, 0.0, -1.0]) + 0.2 * random.normal(size=3)
-        size = random.uniform(10.0, 60.0)
+    def drawn(cls, random: np.random.Generator, start_utc: np.datetime64, index: Index | None = None) -> DisturbedField:
+        """Return a field on days like many: the external field of some days of the ``index``, 5 nT of crust.
+
+        The days are drawn from the whole index and moved to ``start_utc``. Without an index its hours are drawn: a mean
+        of -13 nT with a scatter of 22 nT that half a day forgets, a fifth of it induced, as RC of 2015 to 2026.
+        """
+        driver = _drawn_index(random, start_utc) if index is None else _moved_index(random, start_utc, index)
+        series = hourly([driver], "RC")
+        external = None if series is None else ExternalField.by_index("rc", series, "mean")
         wavelength_km = random.uniform(800.0, 3000.0, 8)
         directions = random.normal(size=(8, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         return cls(
-            Igrf(),
-            size * axis,
-            0.3 * size * axis,
+            SummedField(Igrf(), None, external),
+            random.normal(0.0, 2.0, 3),
             directions * (2 * np.pi / wavelength_km)[:, None],
             random.uniform(0, 2 * np.pi, 8),
             random.normal(scale=2.5, size=(8, 3)),
@@ -101,10 +114,27 @@ class DisturbedField:
 
     def field_itrf_nt(self, t_utc: Times, r_itrf_km: Floats) -> Floats:
         """Return the field at ``t_utc`` and ``r_itrf_km``, shape (n, 3), ITRF, nT."""
-        hours = (t_utc - t_utc[0]) / np.timedelta64(1, "ns") / 3600e9
-        external = self.external_nt + np.outer(np.sin(2 * np.pi * hours / 6.0), self.swing_nt)
         crust = np.sin(r_itrf_km @ self.waves_per_km.T + self.phases_rad) @ self.crust_nt
-        return np.asarray(self.main.field_itrf_nt(t_utc, r_itrf_km) + external + crust)
+        return np.asarray(self.main.field_itrf_nt(t_utc, r_itrf_km) + self.other_nt + crust)
+
+
+def _drawn_index(random: np.random.Generator, start_utc: np.datetime64) -> Index:
+    """Return some days of an index, RC with its parts, that begin a day before ``start_utc``."""
+    share = np.exp(-1.0 / _MEMORY_H)
+    steps = random.normal(0.0, _SCATTER_NT, _HOURS)
+    steps[1:] *= np.sqrt(1.0 - share**2)
+    total = _MEAN_NT + lfilter([1.0], [1.0, -share], steps)
+    first_ns = (int(start_utc.astype("datetime64[ns]").astype(np.int64)) // HOUR_NS - 24) * HOUR_NS
+    start_ns = first_ns + HOUR_NS * np.arange(_HOURS)
+    return Index("RC", "csv", start_ns, HOUR_NS, total, (1.0 - _INDUCED) * total, _INDUCED * total, "")
+
+
+def _moved_index(random: np.random.Generator, start_utc: np.datetime64, index: Index) -> Index:
+    """Return some days of ``index`` from a random place in it, moved so that they begin a day before ``start_utc``."""
+    first = int(random.integers(0, index.rows - _HOURS))
+    taken = index.between(int(index.start_ns[first]) + 1, int(index.start_ns[first + _HOURS - 1]))
+    begin_ns = (int(start_utc.astype("datetime64[ns]").astype(np.int64)) // HOUR_NS - 24) * HOUR_NS
+    return replace(taken, start_ns=taken.start_ns - int(taken.start_ns[0]) + begin_ns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,8 +151,8 @@ class Mission:
     simulation: Simulation
 
 
-def draw_mission(seed: int) -> Mission:
-    """Return mission number ``seed`` of the population.
+def draw_mission(seed: int, index: Index | None = None) -> Mission:
+    """Return mission number ``seed`` of the population; its external field is that of some days of the ``index``.
 
     Notes
     -----
@@ -141,7 +171,7 @@ def draw_mission(seed: int) -> Mission:
     motion = str(random.choice(["tumbling", "one axis", "once per orbit", "still"], p=[0.7, 0.15, 0.1, 0.05]))
     truth, is_vector = _sensor(random), bool(random.random() < 1 / 3)
     disturbed = _disturbances(random, is_vector=is_vector)
-    field = DisturbedField.drawn(random)
+    field = DisturbedField.drawn(random, start, index)
     made = simulate(
         true_orbit,
         truth,

@@ -13,8 +13,11 @@ from magcal_core.arrays import Floats, Times
 from magcal_core.attitude.rotation import from_rotation_vector, multiply, rotate, unit
 from magcal_core.errors import OptionError
 from magcal_core.field import FieldModel
+from magcal_core.field.external_knowledge import ExternalKnowledge
+from magcal_core.field.sources import FieldSources
 from magcal_core.orbit import Orbit
 from magcal_core.orbit.earth import frames
+from magcal_core.orbit.earth.timescales import nanoseconds
 from magcal_core.samples import Samples
 from magcal_core.sensor.model import SensorModel
 from magcal_core.sensor.parameters import Parameters
@@ -139,6 +142,8 @@ def simulate(
     moments: Sequence[float] = DEKART_MOMENTS,
     disturbances: Disturbances | None = None,
     seed: int = 0,
+    sources: FieldSources | None = None,
+    quiet_only: bool = False,
 ) -> Simulation:
     """Return the telemetry of a satellite that tumbles freely along ``orbit``; the same seed gives the same bytes.
 
@@ -154,6 +159,10 @@ def simulate(
         Principal moments of inertia, in any unit; the magnetometer's base frame lies along their axes.
     disturbances : Disturbances, optional
         None: the sensor alone.
+    sources : FieldSources, optional
+        What ``field_model`` was made from: the truth says of the external field what a calibration with it would.
+    quiet_only : bool
+        Leave out the samples of hours that are not known to be quiet.
 
     Raises
     ------
@@ -179,6 +188,10 @@ def simulate(
     b_base_nt = rotate(q, b_gcrf_nt)
     h_nt, housekeeping, outliers = _readings(sensor.apply(b_base_nt), t_s, disturbed, streams)
     arrived = streams["dropouts"].random(len(t_s)) >= disturbed.dropout_fraction
+    known, stamps_ns = ExternalKnowledge.of(model, sources), nanoseconds(t_utc)
+    dropped = int(np.count_nonzero(~arrived))
+    if quiet_only:
+        arrived &= ~known.not_quiet(stamps_ns)
     offset_ns = np.timedelta64(round(disturbed.time_offset_s * 1e9), "ns")
     samples = Samples(t_utc - offset_ns, h_nt, _sent(q, disturbed, streams), housekeeping=housekeeping).take(arrived)
     truth = {
@@ -189,11 +202,12 @@ def simulate(
         "duration_s": duration_s,
         "step_s": step_s,
         "samples": len(samples),
-        "dropped": int(np.count_nonzero(~arrived)),
+        "dropped": dropped,
         "outlier_rows": np.flatnonzero(outliers[arrived]).tolist(),
         "saturated_rows": _saturated(samples, disturbed.range_nt),
         "orbit": {"model": orbit.model, "epoch": utc_text(orbit.epoch_utc)},
         "field_model": model.name,
+        "external_field": known.to_dict(stamps_ns, r_itrf_km),
         "attitude": {
             "moments": body.moments.tolist(),
             "rate_deg_s": np.rad2deg(body.rate_rad_s).tolist(),

@@ -49,5 +49,5 @@ def move_schema(settings: Settings, _nothing: list[str], at_work: Connection) ->
     database = Database(settings)
     at_work.send(True)
     while True:
-        migrate(database, "0010_reading")
+        migrate(database, "0011_indices")
         migrate(database, head())

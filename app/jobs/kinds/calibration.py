@@ -13,6 +13,7 @@ from sqlalchemy.orm import Session
 from app.access.caller import SYSTEM, Caller
 from app.errors import ConflictError, ExpiredError
 from app.http.schemas import core_times, parse_utc
+from app.indices.repository import FIELD_FILE, IndexRepository, check_field
 from app.jobs.kinds.contract import Admission, Claim, Outcome, WrongKindError
 from app.jobs.schemas import CalibrationBody, JobBody
 from app.jobs.tables import JobSession
@@ -38,9 +39,11 @@ DEFAULT_AGE_DAYS: Final = 14.0
 
 @dataclass(frozen=True, slots=True)
 class CalibrationWork:
-    """What a calibration works on: each session's chunks, orbits as (id, content), options, its inputs' names, and the
-    parameter set that was in force before, where there is one; ``strangers`` says of orbits of another object, by id,
-    which.
+    """What a calibration works on.
+
+    Each session's chunks, orbits as (id, content), options, its inputs' names; the parameter set that was in force
+    before, where there is one; ``strangers`` says of orbits of another object, by id, which; the intervals of indices
+    near the data, and name and content of a file of coefficients.
     """
 
     columns: Sequence[Sequence[bytes]]
@@ -49,6 +52,8 @@ class CalibrationWork:
     inputs: Sequence[Mapping[str, object]]
     active: Mapping[str, object] | None = None
     strangers: Mapping[str, str] = field(default_factory=dict)
+    intervals: Sequence[bytes] = ()
+    field_file: tuple[str | None, bytes] | None = None
 
 
 class CalibrationKind:
@@ -75,10 +80,13 @@ class CalibrationKind:
         magnetometer = SatelliteRepository(session, caller).magnetometer(satellite_id, magnetometer_id)
         options = CalibrationOptions.from_dict({"noise_nt": magnetometer.noise_nt} | body.options).to_dict()
         lock = f"{satellite_id}/{magnetometer_id}"
+        if body.field_file is not None:
+            options[FIELD_FILE] = body.field_file
         return Admission(options, satellite_id, magnetometer_id, session_ids, lock)
 
     def check(self, session: Session, admission: Admission) -> None:
-        """Raise `OrbitMissingError` or `TleEpochError` where a session needs an orbit and none may serve it."""
+        """Raise where a session needs an orbit, or its field an index or a file, and none may serve it."""
+        check_field(session, admission.request)
         limit_days = _limit_days(admission.request)
         orbits = OrbitRepository(session, SYSTEM, str(admission.satellite_id))
         for session_id in admission.session_ids:
@@ -106,13 +114,18 @@ class CalibrationKind:
         near = orbits.around(begin, end, _limit_days(claim.request))
         satellite = SatelliteRepository(session, SYSTEM).get(str(claim.satellite_id))
         others = {row.id: other for row in near if (other := difference(satellite, row.details)) is not None}
+        options = dict(claim.request)
+        file_id = options.pop(FIELD_FILE, None)
+        files = IndexRepository(session, SYSTEM)
         return CalibrationWork(
             columns=columns,
             orbits=[(row.id, row.content) for row in near],
-            options=claim.request,
+            options=options,
             inputs=[_input(row.id, sessions.chunks(row.id)) for row in rows],
             active=_in_force(session, claim, begin),
             strangers=others,
+            intervals=files.intervals_near(begin, end),
+            field_file=None if file_id is None else files.field_file_content(str(file_id)),
         )
 
     def keep(self, session: Session, store: Store, claim: Claim, found: Outcome) -> dict[str, object]:

@@ -7,6 +7,7 @@ from importlib.metadata import version
 
 import numpy as np
 
+from app.indices.repository import sources_of
 from app.jobs.kinds.calibration import CalibrationWork
 from app.jobs.kinds.contract import Outcome, Report, WrongKindError
 from app.orbits.parsing import orbit_of
@@ -18,6 +19,7 @@ from magcal_core.calibration.result import Calibration
 from magcal_core.calibration.sessions.monitoring import ActiveSet
 from magcal_core.compile_kernels import calibrate_made_up_session
 from magcal_core.errors import EstimationError, InputError
+from magcal_core.field.sources import FieldSources
 from magcal_core.options import METHODS, CalibrationOptions
 from magcal_core.orbit import Orbit
 from magcal_core.pipeline import calibrate as run
@@ -32,13 +34,23 @@ def calibrate(work: object, report: Report) -> Outcome:
     options = CalibrationOptions.from_dict(work.options)
     together = samples_of([chunk for chunks in work.columns for chunk in chunks])
     active = None if work.active is None else ActiveSet.from_record(work.active)
-    found = run(together, orbits, options, active=active, with_moments=True, progress=report)
+    sources = sources_of(work.intervals, work.field_file)
+    found = run(
+        together,
+        orbits,
+        options,
+        index=sources.indices,
+        field_file=sources.file,
+        active=active,
+        with_moments=True,
+        progress=report,
+    )
     document = found.to_dict()
     compared = document.get("agreement")
     if isinstance(compared, dict) and work.active is not None:
         document["agreement"] = {"parameter_set_id": work.active["id"], **compared}
     if len(work.columns) > 1:
-        document["joint"] = _joint(work, orbits, found)
+        document["joint"] = _joint(work, orbits, found, sources)
     record = without_nan(document)
     if not isinstance(record, dict):
         raise WrongKindError("a calibration's record is not a mapping")
@@ -53,7 +65,9 @@ def _blobs(found: Calibration) -> dict[str, bytes]:
     return blobs if found.moments is None else blobs | {"moments": found.moments.to_bytes()}
 
 
-def _joint(work: CalibrationWork, orbits: Sequence[Orbit], found: Calibration) -> dict[str, object]:
+def _joint(
+    work: CalibrationWork, orbits: Sequence[Orbit], found: Calibration, sources: FieldSources
+) -> dict[str, object]:
     """Return what the sessions say one by one and together: shared axes, a bias for each, and whether they agree."""
     sessions = {
         str(one["session_id"]): samples_of(chunks) for one, chunks in zip(work.inputs, work.columns, strict=True)
@@ -61,7 +75,7 @@ def _joint(work: CalibrationWork, orbits: Sequence[Orbit], found: Calibration) -
     chosen = CalibrationOptions.from_dict({**found.options, "regressors": list(found.parameters.regressors)})
     try:
         return calibrate_jointly(
-            sessions, orbits, chosen, time_offset_s=found.parameters.time_offset_s or 0.0
+            sessions, orbits, chosen, time_offset_s=found.parameters.time_offset_s or 0.0, sources=sources
         ).to_dict()
     except (InputError, EstimationError) as error:
         return {"error": {"code": error.code, "detail": str(error)}}

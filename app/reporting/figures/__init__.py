@@ -11,6 +11,7 @@ from app.reporting.figures.parameters import (
     tle_age_history,
 )
 from app.reporting.figures.residuals import (
+    IndexSeries,
     before_after,
     residual_autocorrelation,
     residual_histogram,
@@ -31,6 +32,7 @@ __all__ = [
     "THEMES",
     "AblationRow",
     "InForce",
+    "IndexSeries",
     "SessionMark",
     "Theme",
     "ablation_bar",

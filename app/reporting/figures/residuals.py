@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -32,6 +34,24 @@ COMPONENTS: Final = ("x", "y", "z")
 NT: Final = "%{y:.1f} nT"
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class IndexSeries:
+    """The hourly index of the external field about a session: middles of hours, UTC, and values, nT."""
+
+    name: str
+    t_utc: Times
+    index_nt: Floats
+
+    @classmethod
+    def of_record(cls, record: Mapping[str, object]) -> IndexSeries | None:
+        """Return the series that a parameter set keeps; None where it has none."""
+        found = record.get("external_index")
+        if not isinstance(found, Mapping):
+            return None
+        times = np.array([str(time).removesuffix("Z") for time in found["time"]], "datetime64[ns]")
+        return cls(str(found["name"]), times, np.array(found["index_nt"], np.float64))
+
+
 def before_after(table: ResidualTable, theme: Theme = LIGHT) -> Figure:
     """Return |B| against the model twice, above as measured and below as corrected (DEKART, figures 1-4)."""
     traces = [
@@ -55,8 +75,11 @@ def before_after(table: ResidualTable, theme: Theme = LIGHT) -> Figure:
     return make_figure(traces, theme, layout)
 
 
-def residual_time(table: ResidualTable, theme: Theme = LIGHT) -> Figure:
-    """Return the residual against time, with the samples that the fit left out marked."""
+def residual_time(table: ResidualTable, theme: Theme = LIGHT, index: IndexSeries | None = None) -> Figure:
+    """Return the residual against time, with the samples that the fit left out marked.
+
+    ``index``: the index of the external field over the session, which is drawn as a strip below.
+    """
     is_out = (table.weight <= 0) & np.isfinite(_worst(table))
     used = [np.where(is_out, np.nan, column) for column in _columns(table)]
     traces = [
@@ -64,14 +87,14 @@ def residual_time(table: ResidualTable, theme: Theme = LIGHT) -> Figure:
         for (name, colour), column in zip(_labels(table, theme), used, strict=True)
     ]
     if is_out.any():
-        index = np.flatnonzero(is_out)
-        index = index[extreme_indices(_worst(table)[index], MAX_POINTS)]
+        rows = np.flatnonzero(is_out)
+        rows = rows[extreme_indices(_worst(table)[rows], MAX_POINTS)]
         crosses: Trace = {
             "type": "scatter",
             "mode": "markers",
             "name": "left out",
-            "x": milliseconds(table.t_utc[index]),
-            "y": _worst(table)[index],
+            "x": milliseconds(table.t_utc[rows]),
+            "y": _worst(table)[rows],
             "marker": {"symbol": "x-thin-open", "color": theme.before, "size": 7},
             "hovertemplate": NT,
         }
@@ -80,7 +103,27 @@ def residual_time(table: ResidualTable, theme: Theme = LIGHT) -> Figure:
         "xaxis": time_axis(theme, table.t_utc),
         "yaxis": axis(theme, "residual, nT", tickformat="d", zerolinecolor=theme.muted),
     }
+    if index is not None:
+        traces.append(_strip(index, theme))
+        layout["xaxis"] = time_axis(theme, table.t_utc, anchor="y2")
+        layout["yaxis"] = axis(theme, "residual, nT", tickformat="d", zerolinecolor=theme.muted, domain=[0.3, 1.0])
+        layout["yaxis2"] = axis(theme, f"{index.name}, nT", domain=[0.0, 0.2], tickformat="d")
     return make_figure(traces, theme, layout)
+
+
+def _strip(index: IndexSeries, theme: Theme) -> Trace:
+    """Return the index as a line through the middles of hours, on the axis below."""
+    return {
+        "type": "scatter",
+        "mode": "lines+markers",
+        "name": index.name,
+        "x": milliseconds(index.t_utc),
+        "y": index.index_nt,
+        "yaxis": "y2",
+        "line": {"color": theme.model, "width": 1.5},
+        "marker": {"size": 4},
+        "hovertemplate": NT,
+    }
 
 
 def residual_histogram(table: ResidualTable, theme: Theme = LIGHT, bins: int = 60) -> Figure:

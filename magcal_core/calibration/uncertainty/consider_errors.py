@@ -20,15 +20,15 @@ from magcal_core.arrays import Floats, Times
 from magcal_core.attitude.rotation import rotate
 from magcal_core.calibration.estimators.normal_equations import equations_at, scalar_responses
 from magcal_core.calibration.estimators.scale_terms import without_scale_terms
+from magcal_core.field.external_knowledge import ConsideredError
 from magcal_core.numerics.linear_algebra import scaled_inverse
 from magcal_core.observations import Observations
 from magcal_core.orbit.earth.earth_fixed import itrf_to_gcrf_fast
+from magcal_core.orbit.earth.timescales import nanoseconds
 from magcal_core.reference.error_budget import ReferenceSource, along_track_km
 from magcal_core.samples import Samples
 from magcal_core.sensor.parameters import Parameters
 
-AXIAL_NT: Final = 40.0
-"""External field along the Earth's axis, nT, on quiet days: 25 nT root mean square of |B| over an orbit [OLSEN]_."""
 _PLACES: Final = 256
 _STEP_KM: Final = 5.0
 _MOST_STEP: Final = np.timedelta64(300, "s")
@@ -52,7 +52,7 @@ class ReferenceShift:
 def reference_shifts(
     samples: Samples, observations: Observations, parameters: Parameters, source: ReferenceSource
 ) -> tuple[ReferenceShift, ...]:
-    """Return what an external field and, where no clock was estimated, an orbit that is late do to the parameters.
+    """Return what the considered errors of the reference do to the parameters.
 
     ``samples``: those that ``observations`` were made of, one for one. None where the reference came with the
     telemetry.
@@ -64,22 +64,33 @@ def reference_shifts(
     if len(rows) < 2:
         return ()
     few, some = samples.take(rows), replace(observations.take(rows), rate_nt_s=np.zeros((0, 0)), rate_base_nt_s=None)
-    t_utc, r_km = few.t_utc, samples.r_itrf_km[rows]
-    axis = np.zeros_like(r_km)
-    axis[:, 2] = AXIAL_NT
-    errors = [("external", f"{AXIAL_NT:g} nT along the Earth's axis", axis)]
-    if source.clock_error_s is None and source.orbit_model != "telemetry-position":
-        along_km, how = along_track_km(samples, source)
-        late = along_km * _along_nt_per_km(source, t_utc, r_km, _directions(samples, rows))
-        errors.append(("orbit_along_track", f"{along_km:.2g} km ({how})", late))
+    errors = considered_errors(samples, rows, source)
     shifts = np.zeros((len(errors), len(parameters.names)))
-    sizes = np.stack([error_nt for _, _, error_nt in errors])
+    sizes = np.stack([one.error_nt for one in errors])
     # What the reference's errors do to the scale's changes is not told: they follow a column, not the place.
     some, parameters = without_scale_terms(some, parameters)
     moves = _vector_moves if source.is_vector else _scalar_moves
-    found = moves(some, parameters, few, source.field.field_itrf_nt(t_utc, r_km), sizes)
+    found = moves(some, parameters, few, source.field.field_itrf_nt(few.t_utc, samples.r_itrf_km[rows]), sizes)
     shifts[:, : found.shape[1]] = found
-    return tuple(ReferenceShift(name, why, shift) for (name, why, _), shift in zip(errors, shifts, strict=True))
+    return tuple(ReferenceShift(one.source, one.why, shift) for one, shift in zip(errors, shifts, strict=True))
+
+
+def considered_errors(samples: Samples, rows: NDArray[np.intp], source: ReferenceSource) -> tuple[ConsideredError, ...]:
+    """Return the errors of the reference that are considered, by name: a vector at each of ``rows`` at one sigma.
+
+    The three parts of the external field (`ExternalKnowledge`) and, where no clock was estimated, an orbit that is
+    late. Their signs and sizes are independent of each other. ``samples`` are all those of the fit, of which ``rows``
+    have a position.
+    """
+    if samples.r_itrf_km is None:
+        return ()
+    t_utc, r_km = samples.t_utc[rows], samples.r_itrf_km[rows]
+    errors = source.known.errors(nanoseconds(samples.t_utc), nanoseconds(t_utc), r_km)
+    if source.clock_error_s is not None or source.orbit_model == "telemetry-position":
+        return errors
+    along_km, how = along_track_km(samples, source)
+    late_nt = along_km * _along_nt_per_km(source, t_utc, r_km, _directions(samples, rows))
+    return (*errors, ConsideredError("orbit_along_track", f"{along_km:.2g} km ({how})", late_nt))
 
 
 def _directions(samples: Samples, rows: NDArray[np.intp]) -> Floats:

@@ -30,6 +30,7 @@ from magcal_core.calibration.uncertainty.cross_validation import held_out_residu
 from magcal_core.calibration.uncertainty.honest_covariance import HonestCovariance, covered_s, honest_covariance
 from magcal_core.calibration.verdict.agreement import Agreement, agreement_with
 from magcal_core.calibration.verdict.verdict import Evidence, judge
+from magcal_core.field.external_knowledge import Storm
 from magcal_core.numerics.robust import robust_sigma
 from magcal_core.numerics.vectors import lengths
 from magcal_core.observations import Observations
@@ -41,7 +42,7 @@ from magcal_core.sensor.parameters import Parameters
 @dataclass(frozen=True, slots=True, eq=False)
 class Circumstances:
     """What the verdict must know that is not in the fit: the orbit's age, clock, samples left out, suspicions, what
-    errors of the reference do to the parameters, and the calibration in force before.
+    errors of the reference do to the parameters, the calibration in force before, and a storm.
     """
 
     orbit_age_days: float
@@ -50,6 +51,7 @@ class Circumstances:
     suspicions: tuple[str, ...] = ()
     reference: tuple[ReferenceShift, ...] = ()
     active: ActiveSet | None = None
+    storm: Storm | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,6 +115,7 @@ def judgement_of(  # noqa: PLR0917
         suspicions=circumstances.suspicions,
         misaligned_deg=_misaligned_deg(fit),
         agreement=agreement,
+        storm=None if circumstances.storm is None or not circumstances.storm.is_weak else circumstances.storm.text,
     )
     return Judgement(
         honest,

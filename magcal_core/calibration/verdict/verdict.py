@@ -65,6 +65,7 @@ class Evidence:
     suspicions: tuple[str, ...] = ()
     misaligned_deg: float = 0.0
     agreement: Agreement | None = None
+    storm: str | None = None
 
 
 def judge(evidence: Evidence) -> Verdict:
@@ -198,6 +199,8 @@ def _circumstances(evidence: Evidence) -> _Found:
     found += _scale_far(evidence)
     if evidence.agreement is not None and evidence.agreement.is_material:
         found.append(("weak", Reason("differs_from_active", evidence.agreement.text)))
+    if evidence.storm is not None:
+        found.append(("weak", Reason("storm", evidence.storm)))
     found += [("refuse", Reason("wrong_input_suspected", text)) for text in evidence.suspicions]
     return found
 

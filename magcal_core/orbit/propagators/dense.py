@@ -130,6 +130,19 @@ def polynomials(
     return fitted
 
 
+def times_needed(stamps_ns: Nanoseconds, epoch_ns: int, step_ns: int, *, margin: int = 0) -> Nanoseconds | None:
+    """Return all the times, ascending, at which `polynomials` asks for the function; None where it gives up.
+
+    Of a part of ``stamps_ns`` it asks at some of them.
+    """
+    placed = _nodes(stamps_ns, epoch_ns, step_ns, margin)
+    if placed is None:
+        return None
+    start_ns, nodes, _, row_of_interval = placed
+    checks = start_ns + np.flatnonzero(row_of_interval >= 0) * step_ns + int(_CHECKED_AT * step_ns)
+    return np.union1d(start_ns + nodes * step_ns, checks)
+
+
 def _nodes(
     stamps_ns: Nanoseconds, epoch_ns: int, step_ns: int, margin: int
 ) -> tuple[int, Indices, Indices, Indices] | None:

@@ -14,6 +14,7 @@ import app.aboard.tables
 import app.access.idempotency
 import app.access.key_tables
 import app.connectors.tables
+import app.indices.tables
 import app.jobs.tables
 import app.notifications.tables
 import app.orbits.tables

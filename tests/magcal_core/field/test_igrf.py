@@ -3,6 +3,7 @@
 import importlib.util
 import warnings
 from datetime import datetime
+from math import factorial, sqrt
 from types import ModuleType
 
 import numpy as np
@@ -10,7 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from magcal_core.errors import ModelRangeError, TimeError
+from magcal_core.field.harmonics import component_series
 from magcal_core.field.igrf import Igrf
+from magcal_core.field.shc import igrf_coefficients
 
 Floats = NDArray[np.float64]
 Times = NDArray[np.datetime64]
@@ -32,6 +35,39 @@ def chaosmagpy() -> ModuleType:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it warns that Matplotlib is not installed
         return importlib.import_module("chaosmagpy")
+
+
+@pytest.mark.parametrize("degree", [1, 9, 13])
+def test_factors_that_are_formed_together_change_no_bit_of_the_igrf(degree: int) -> None:
+    """Powers of two are exact: to degree 13, where nothing leaves the doubles, the plain formation is the same."""
+    gauss, order = igrf_coefficients(14), degree + 1
+    want, scale = np.zeros((len(gauss.knots_ns), order + 1, order + 1, 6)), np.zeros((order + 1, order + 1))
+    for n in range(1, degree + 1):
+        for m in range(n + 1):
+            schmidt = sqrt((1 if m == 0 else 2) * factorial(n - m) / factorial(n + m))
+            c, s = gauss.g_nt[:, n, m] * schmidt, gauss.h_nt[:, n, m] * schmidt
+            up, level, down = want[:, m + 1, n + 1], want[:, m, n + 1], want[:, m - 1, n + 1]
+            level[:, 4] += (n - m + 1) * c
+            level[:, 5] -= (n - m + 1) * s
+            half, weight = (1.0, 0.0) if m == 0 else (0.5, 0.5 * (n - m + 2) * (n - m + 1))
+            for column, value in ((0, c), (1, -s), (2, -s), (3, -c)):
+                if m or column in (0, 3):
+                    up[:, column] += half * value
+            for column, value in ((0, -c), (1, s), (2, -s), (3, -c)):
+                if m:
+                    down[:, column] += weight * value
+    sectorial = 1.0
+    for m in range(order + 1):
+        sectorial *= max(2 * m - 1, 1)
+        scale[m, m] = sectorial
+        if m < order:
+            scale[m, m + 1] = (2 * m + 1) * sectorial
+        for n in range(m + 2, order + 1):
+            scale[m, n] = (n + m - 1) / (n - m) * scale[m, n - 2]
+    want *= scale[None, :, :, None]
+    found = component_series(gauss, degree)
+    np.testing.assert_array_equal(found.value_nt, want[:-1])
+    np.testing.assert_array_equal(found.slope_nt, np.diff(want, axis=0))
 
 
 def _times(version: int, n: int, seed: int) -> Times:

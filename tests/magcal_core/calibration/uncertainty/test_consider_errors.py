@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from magcal_core import calibrate
+from magcal_core.field.external_knowledge import ExternalKnowledge
 from magcal_core.field.igrf import Igrf
 from magcal_core.sensor.model import SensorModel
 from magcal_core.simulation.missions import draw_orbit
@@ -15,12 +16,15 @@ START = np.datetime64("2022-03-01T00:00:00", "ns")
 
 
 class Outside:
-    """IGRF with a uniform field along the Earth's axis."""
+    """IGRF with one of the considered sources at one standard deviation."""
 
-    name = "outside"
+    def __init__(self, source):
+        self.name = source
 
     def field_itrf_nt(self, t_utc, r_itrf_km):
-        return Igrf().field_itrf_nt(t_utc, r_itrf_km) + np.array([0.0, 0.0, 40.0])
+        stamps = t_utc.astype("datetime64[ns]").astype(np.int64)
+        errors = {one.source: one.error_nt for one in ExternalKnowledge.of(Igrf()).errors(stamps, stamps, r_itrf_km)}
+        return Igrf().field_itrf_nt(t_utc, r_itrf_km) + errors[self.name]
 
 
 @pytest.fixture(scope="module")
@@ -34,11 +38,12 @@ def flown(orbit, field=None):
 
 
 @pytest.mark.parametrize("method", ["scalar", "vector"])
-def test_an_external_field_moves_the_parameters_as_foretold(orbit, method):
-    """The same noise with and without 40 nT: first order from 256 of 1140 samples, to 10 % of each group's largest."""
-    with_it = calibrate(flown(orbit, Outside()).samples, [orbit], method=method)
+@pytest.mark.parametrize("source", ["external_ring", "external_induced", "external_uniform"])
+def test_an_external_field_moves_the_parameters_as_foretold(orbit, method, source):
+    """The same noise with and without it: first order from 256 of 1140 samples, to 10 % of each group's largest."""
+    with_it = calibrate(flown(orbit, Outside(source)).samples, [orbit], method=method)
     without = calibrate(flown(orbit).samples, [orbit], method=method)
-    (found,) = [one for one in with_it.extras["uncertainty"]["reference"] if one["source"] == "external"]
+    (found,) = [one for one in with_it.extras["uncertainty"]["reference"] if one["source"] == source]
     for group in ("bias_nt", "scale", "nonorthogonality_deg"):
         moved = np.abs(getattr(with_it.parameters, group) - getattr(without.parameters, group))
         foretold = np.array(found["standard_errors"][group])
@@ -56,7 +61,8 @@ def test_a_late_orbit_is_considered_only_where_no_clock_was_estimated(orbit):
     samples = flown(orbit).samples
     plain, clocked = calibrate(samples, [orbit]), calibrate(samples, [orbit], time_offset="estimate")
     sources = [{one["source"] for one in got.extras["uncertainty"]["reference"]} for got in (plain, clocked)]
-    assert sources == [{"external", "orbit_along_track"}, {"external"}]
+    external = {"external_ring", "external_induced", "external_uniform"}
+    assert sources == [external | {"orbit_along_track"}, external]
 
 
 def test_a_reference_from_the_telemetry_has_errors_that_are_not_known(orbit):

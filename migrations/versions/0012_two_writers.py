@@ -9,8 +9,8 @@ from alembic import op
 
 from app.storage.database import UtcDateTime
 
-revision = "0011_two_writers"
-down_revision = "0010_reading"
+revision = "0012_two_writers"
+down_revision = "0011_indices"
 branch_labels = None
 depends_on = None
 
