@@ -143,6 +143,7 @@ class StorageFullError(ServiceError):
     """There is no room for the upload."""
 
     code = "storage_full"
+    headers = {"Retry-After": "60"}  # noqa: RUF012
 
 
 class StoredObjectCorruptError(ServiceError):

@@ -34,6 +34,7 @@ from app.http.receiving import Admission, sweep_incoming
 from app.indices import endpoints as indices
 from app.jobs import endpoints as jobs
 from app.jobs.engines.open_engine import Engine, open_engine
+from app.maintenance import satellite_endpoints
 from app.monitoring import endpoints as monitoring
 from app.monitoring import rollouts, trends
 from app.notifications import endpoints as notifications
@@ -48,7 +49,9 @@ from app.satellites import endpoints as satellites
 from app.sessions import endpoints as sessions
 from app.settings import Settings
 from app.storage.database import Database
+from app.storage.identity import expect_own
 from app.storage.open_store import open_store
+from app.uploads import confirmation
 from app.uploads import endpoints as uploads
 from app.uploads.batching import Keeper
 from app.uploads.ingest import Ingest
@@ -57,8 +60,10 @@ API: Final = "/api/v1"
 ROOMS: Final = (
     sessions,
     uploads,
+    confirmation,
     monitoring,
     satellites,
+    satellite_endpoints,
     orbits,
     jobs,
     parameter_sets,
@@ -94,6 +99,7 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
         },  # nobody configures it; looking costs each request
     )
     database, store = Database(settings), open_store(settings)
+    app.state.database_id = expect_own(database, store)
     app.state.settings = settings
     app.state.database = database
     app.state.store = store

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import Final
 
+import structlog
 from prometheus_client import Counter, Histogram
+
+log = structlog.get_logger()
 
 REQUEST_SECONDS: Final = Histogram(
     "magcal_request_seconds", "Time to answer a request, s.", ["method", "route", "status"]

@@ -4,16 +4,27 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 
-from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
+from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt, ValidationError
 from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic_settings import SettingsError as SourceError
+
+from magcal_core.errors import MagcalError
+
+PREFIX: Final = "MAGCAL_"
+
+
+class SettingsError(MagcalError):
+    """A setting has a value that it cannot have."""
+
+    code = "setting"
 
 
 class Settings(BaseSettings):
     """Everything that an operator may set; `docs/configuration.md` says more of each."""
 
-    model_config = SettingsConfigDict(env_prefix="MAGCAL_", frozen=True, extra="ignore")
+    model_config = SettingsConfigDict(env_prefix=PREFIX, frozen=True, extra="ignore")
 
     database_url: str | None = Field(None, description="SQLAlchemy URL; unset: SQLite in the data folder.")
     data_dir: Path = Field(Path("magcal-data"), description="Folder of the database and of uploads on their way.")
@@ -34,6 +45,12 @@ class Settings(BaseSettings):
         None, description="Telemetry of one key in 24 hours, MB (1e6 bytes); unset: no limit."
     )
     upload_stall_s: PositiveFloat = Field(30.0, description="Cut an upload that makes no progress for so long, s.")
+    request_timeout_s: PositiveFloat = Field(
+        10.0, description="Close a connection whose request head or JSON body does not come within so long, s."
+    )
+    max_connections: PositiveInt = Field(
+        2000, description="Connections at once; more are answered 503, fewer where the system allows fewer files."
+    )
     min_free_mb: NonNegativeInt = Field(1024, description="Refuse uploads where the disk has less free, MiB.")
     max_bad_samples: float = Field(0.05, ge=0, le=1, description="Refuse telemetry with more flagged samples (share).")
 
@@ -96,3 +113,20 @@ class Settings(BaseSettings):
     def is_postgres(self) -> bool:
         """Whether the database is PostgreSQL."""
         return self.url.startswith("postgresql")
+
+
+def load_settings() -> Settings:
+    """Return the settings of the environment.
+
+    Raises
+    ------
+    SettingsError
+        One of them cannot be read; the message names its variable.
+    """
+    try:
+        return Settings()
+    except ValidationError as error:
+        faults = [f"{PREFIX}{str(fault['loc'][0]).upper()}: {fault['msg']}" for fault in error.errors() if fault["loc"]]
+        raise SettingsError("; ".join(faults)) from error
+    except SourceError as error:
+        raise SettingsError(str(error)) from error

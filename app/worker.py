@@ -12,7 +12,8 @@ from app.jobs.engines.open_engine import open_engine
 from app.logs import configure_logs
 from app.settings import Settings
 from app.storage.database import Database
-from app.storage.migration import upgrade
+from app.storage.identity import expect_own, refuse_lost
+from app.storage.migration import set_up
 from app.storage.open_store import open_store
 
 STOP_GRACE_S: Final = 20.0
@@ -28,9 +29,12 @@ def work(settings: Settings, concurrency: int) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: asked.set())
     configure_logs(settings)
+    refuse_lost(settings)
+    store = open_store(settings)
     database = Database(settings, longest_idle_s=LONGEST_IDLE_S)
-    upgrade(database, settings)
-    engine = open_engine(database, open_store(settings), settings, concurrency)
+    set_up(database, store, settings)
+    expect_own(database, store)
+    engine = open_engine(database, store, settings, concurrency)
     if engine.workers is not None:
         engine.workers.start()
         log.info("working", concurrency=concurrency)

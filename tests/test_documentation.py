@@ -35,6 +35,8 @@ UNSEEN = {
     "unreachable",
     "folder_taken",
     "job_failed",
+    "foreign_answer",
+    "stopped",
 }
 """Bases, and codes that only a terminal or a log shows."""
 
@@ -95,11 +97,11 @@ def test_every_call_of_the_api_is_documented(tmp_path: Path) -> None:
     assert calls == set(re.findall(r"^\| `((?:GET|POST|PUT|PATCH|DELETE) [^`]*)`", page("service.md"), re.MULTILINE))
 
 
-PROMISES = {"L": 10, "F": 24, "B": 26, "A": 14}
+PROMISES = {"L": 10, "F": 24, "B": 26, "A": 14, "W": 24}
 
 
 def test_every_promise_of_the_reliability_page_has_a_figure_and_what_holds_it() -> None:
-    rows = re.findall(r"^\| ([LFBA]\d+) \|(.*)\|$", page("reliability.md"), re.MULTILINE)
+    rows = re.findall(r"^\| ([LFBAW]\d+) \|(.*)\|$", page("reliability.md"), re.MULTILINE)
     assert [name for name, _ in rows] == [f"{kind}{n + 1}" for kind, last in PROMISES.items() for n in range(last)]
     rooms = {path.stem for path in (DOCS.parent / "benchmarks").glob("*.py")}
     for name, row in rows:

@@ -26,6 +26,7 @@ from app.access.key_repository import KEY_FORM, Holder, KeyRepository, secret_ha
 from app.access.oidc import Issuer
 from app.errors import ScopeRequiredError, TooManyFailuresError, UnauthorizedError
 from app.http.entity_tags import TRUSTED_S
+from app.http.guards import MARK
 from app.storage.database import Database, utc_now
 
 LOGIN_COOKIE: Final = "magcal_login"
@@ -235,19 +236,21 @@ def is_still_valid(request: Request) -> bool:
 def require(*scopes: Scope) -> Callable[[Request, object], Coroutine[None, None, Caller]]:
     """Return a dependency that lets only keys with one of ``scopes`` pass.
 
-    A key that is refused for its scope is not remembered, so that its refusal takes as long as that of a wrong one.
+    Whom it has let pass it knows again within the request. A key that is refused for its scope is not remembered, so
+    that its refusal takes as long as that of a wrong one.
     """
     names = " or ".join(scopes)
 
     async def check(request: Request, _documented: Annotated[object, Depends(bearer)]) -> Caller:
-        caller = await identify(request)
+        known: Caller | None = getattr(request.state, "caller", None)
+        caller = request.state.caller = await identify(request) if known is None else known
         if not caller.may(*scopes):
             recent: RecentKeys = request.app.state.recent
             recent.drop(get_authorization_scheme_param(request.headers.get("authorization"))[1])
             raise ScopeRequiredError(f"the key needs the scope {names}")
         return caller
 
-    check.__dict__["scopes"] = scopes
+    check.__dict__[MARK] = scopes
     return check
 
 

@@ -6,10 +6,10 @@ import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime
-from typing import Annotated
+from typing import Annotated, Final
 
 from fastapi import Header
-from sqlalchemy import String
+from sqlalchemy import String, func, select
 from sqlalchemy.orm import Mapped, Session, mapped_column
 
 from app.access.caller import Caller
@@ -31,6 +31,9 @@ class IdempotencyKey(Base):
     fingerprint: Mapped[str] = mapped_column(String(64))
     resource_id: Mapped[str] = mapped_column(String(32))
     created_at: Mapped[datetime]
+
+
+KEYS: Final = IdempotencyKey.metadata.tables["idempotency_key"]
 
 
 class Running:
@@ -63,22 +66,50 @@ def fingerprint(*parts: str) -> str:
 def recall(session: Session, caller: Caller, key: str | None, request: str) -> str | None:
     """Return the id of what the first request with ``key`` made, None where this is the first.
 
+    The key is held for the session's transaction, in every process: SQLite has one writer, and on PostgreSQL a lock of
+    the key is taken that ends with the transaction. Whoever has it sees what the one before has committed.
+
     Raises
     ------
+    InProgressError
+        The first request has not ended yet.
     IdempotencyMismatchError
         The first request was another one than that of the fingerprint ``request``.
     """
-    row = None if key is None else session.get(IdempotencyKey, (caller.key_id, key))
+    if key is None:
+        return None
+    if session.get_bind().dialect.name == "postgresql":
+        lock = int.from_bytes(hashlib.sha256(f"{caller.key_id} {key}".encode()).digest()[:8], signed=True)
+        if not session.scalar(select(func.pg_try_advisory_xact_lock(lock))):
+            raise InProgressError("the first request with this Idempotency-Key has not ended yet")
+    return made_with(session, caller, key, request)
+
+
+def made_with(session: Session, caller: Caller, key: str, request: str) -> str | None:
+    """Return the id of what ``key`` has made so far, None where it is nothing; a look that holds nothing.
+
+    Raises
+    ------
+    IdempotencyMismatchError
+        It was made by another request than that of the fingerprint ``request``.
+    """
+    row = session.execute(
+        select(KEYS.c.fingerprint, KEYS.c.resource_id).where(KEYS.c.owner == caller.key_id, KEYS.c.key == key)
+    ).first()
     if row is not None and row.fingerprint != request:
         raise IdempotencyMismatchError("this Idempotency-Key was used with another request")
     return None if row is None else row.resource_id
 
 
-def remember(session: Session, caller: Caller, key: str | None, request: str, resource_id: str) -> None:
-    """Keep what a request with ``key`` made, in the transaction that makes it."""
-    if key is not None:
-        session.merge(
-            IdempotencyKey(
-                owner=caller.key_id, key=key, fingerprint=request, resource_id=resource_id, created_at=utc_now()
-            )
-        )
+def remember(session: Session, caller: Caller, key: str, request: str, resource_id: str) -> None:
+    """Keep what the first request with ``key`` made, in the transaction that makes it; a second one is an error."""
+    session.execute(
+        KEYS.insert(),
+        {
+            "owner": caller.key_id,
+            "key": key,
+            "fingerprint": request,
+            "resource_id": resource_id,
+            "created_at": utc_now(),
+        },
+    )

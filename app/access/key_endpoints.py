@@ -21,7 +21,8 @@ from app.http.strict_json import StrictJsonRoute
 router = APIRouter(route_class=StrictJsonRoute, tags=["keys"])
 
 
-def _refuse_bound(caller: Caller) -> None:
+def refuse_bound(caller: Caller) -> None:
+    """Refuse a key that is bound to satellites what concerns the service as a whole."""
     if caller.satellites is not None:
         raise ScopeRequiredError("the key needs the scope admin for all satellites")
 
@@ -29,7 +30,7 @@ def _refuse_bound(caller: Caller) -> None:
 @router.post("/keys", status_code=201)
 def create_key(body: KeyCreate, caller: Administrator, db: Db) -> KeyCreated:
     """Make a key; its secret is in this answer and nowhere else."""
-    _refuse_bound(caller)
+    refuse_bound(caller)
     with db.write() as session:
         made = KeyRepository(session, caller).create(body.scopes, body.satellites, body.expires_at, body.name)
     return KeyCreated(key=made.key, **KeyRead.model_validate(made.row).model_dump())
@@ -38,7 +39,7 @@ def create_key(body: KeyCreate, caller: Administrator, db: Db) -> KeyCreated:
 @router.get("/keys")
 def list_keys(query: Annotated[PageQuery, Query()], caller: Administrator, db: Db) -> Page[KeyRead]:
     """List the keys, the newest first."""
-    _refuse_bound(caller)
+    refuse_bound(caller)
     with db.read() as session:
         rows, cursor = KeyRepository(session, caller).page(query)
     return Page(items=[KeyRead.model_validate(row) for row in rows], next=cursor)
@@ -47,7 +48,7 @@ def list_keys(query: Annotated[PageQuery, Query()], caller: Administrator, db: D
 @router.post("/keys/{key_id}/revoke")
 def revoke_key(key_id: str, request: Request, caller: Administrator, db: Db) -> KeyRead:
     """Revoke a key from the next request on, in other processes within a second."""
-    _refuse_bound(caller)
+    refuse_bound(caller)
     with db.write() as session:
         revoked = KeyRead.model_validate(KeyRepository(session, caller).revoke(key_id))
     request.app.state.recent.forget()
@@ -57,7 +58,7 @@ def revoke_key(key_id: str, request: Request, caller: Administrator, db: Db) -> 
 @router.get("/audit")
 def list_audit(query: Annotated[PageQuery, Query()], caller: Administrator, db: Db) -> Page[AuditRead]:
     """List who did what, the newest first."""
-    _refuse_bound(caller)
+    refuse_bound(caller)
     with db.read() as session:
         rows, cursor = fetch_page(session, select(AuditEvent), (AuditEvent.id,), query)
     return Page(items=[AuditRead.model_validate(row) for row in rows], next=cursor)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Final
 
-from sqlalchemy import bindparam, func, literal, select
+from sqlalchemy import bindparam, delete, func, literal, select
 from sqlalchemy.orm import Session
 
 from app.access.audit_trail import record_event
@@ -93,7 +93,7 @@ class KeyRepository:
 
     def revoke(self, key_id: str) -> ApiKey:
         """Return the key ``key_id``, revoked from now on."""
-        row = self.session.get(ApiKey, key_id)
+        row = self.session.get(ApiKey, key_id, with_for_update=True)
         if row is None:
             raise NotFoundError("no such key")
         if row.revoked_at is None:
@@ -131,9 +131,8 @@ class KeyRepository:
 
     def close_login(self, token: str) -> None:
         """Forget a dashboard login."""
-        login = self.find_login(token)
-        if login is not None:
-            self.session.delete(login)
+        if len(token) == LOGIN_LENGTH and token.isascii():
+            self.session.execute(delete(Login).where(Login.token_sha256 == secret_hash(token)))
 
     def find_login(self, token: str) -> Login | None:
         """Return the login that ``token`` stands for, if there is one."""

@@ -51,14 +51,22 @@ class UtcMoment(click.ParamType[datetime]):
 
 @contextmanager
 def _writing() -> Iterator[Session]:
-    from app.settings import Settings
+    """Yield a writing session over the database that the settings name, which must be there, and say which it is."""
+    from app.settings import load_settings
     from app.storage.database import Database
-    from app.storage.migration import upgrade
+    from app.storage.identity import WrongStoreError, place_of, require_database, require_own
+    from app.storage.migration import current, upgrade
+    from app.storage.open_store import open_store
 
-    settings = Settings()
+    settings = load_settings()
+    require_database(settings)
     database = Database(settings)
     try:
+        if current(database) is None:
+            raise WrongStoreError(f"{place_of(settings)} is empty: `magcal serve` or `magcal db upgrade` fills it")
         upgrade(database, settings)
+        require_own(database, open_store(settings), settings)
+        click.echo(f"database: {place_of(settings)}", err=True)
         with database.write() as session:
             yield session
     finally:
@@ -74,7 +82,7 @@ def command() -> None:
 @click.option("--scopes", type=NameList(), required=True, help=f"What the key may do: {', '.join(SCOPES)}.")
 @click.option("--satellites", type=NameList(), help="The satellites that it is bound to.  [default: all]")
 @click.option("--expires", type=UtcMoment(), help="When it ends, ISO 8601 with a zone.  [default: never]")
-@click.option("--name", help="What it is for.")
+@click.option("--name", help="What it is for, 200 characters at the most.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def create(
     scopes: list[str], satellites: list[str] | None, expires: datetime | None, name: str | None, as_json: bool
@@ -83,11 +91,19 @@ def create(
     unknown = sorted(set(scopes) - set(SCOPES))
     if unknown:
         raise click.BadParameter(f"unknown scope {unknown[0]}; known are {', '.join(SCOPES)}", param_hint="--scopes")
+    from pydantic import ValidationError
+
     from app.access.key_repository import KeyRepository
+    from app.access.key_schemas import KeyCreate
     from app.http.schemas import utc_text
 
+    try:
+        wanted = KeyCreate.model_validate({"scopes": scopes, "satellites": satellites, "name": name})
+    except ValidationError as error:
+        fault = error.errors()[0]
+        raise click.BadParameter(f"{fault['loc'][0]}: {fault['msg']}") from error
     with _writing() as session:
-        made = KeyRepository(session).create(scopes, satellites, expires, name)
+        made = KeyRepository(session).create(wanted.scopes, wanted.satellites, expires, wanted.name)
     if as_json:
         expires_at = None if expires is None else utc_text(expires)
         record = {
@@ -96,7 +112,7 @@ def create(
             "scopes": made.row.scopes,
             "satellites": made.row.satellites,
             "expires_at": expires_at,
-            "name": name,
+            "name": wanted.name,
         }
         click.echo(json.dumps(record))
     else:

@@ -30,6 +30,7 @@ LONGEST_PAUSE_S: Final = 60.0
               help="Seconds for which a file of a folder must not change before it counts as whole.")  # fmt: skip
 @click.option("--poll", "poll_s", type=click.FloatRange(min=0.05), default=1.0, show_default=True,
               help="Seconds between two looks into the folder.")  # fmt: skip
+@click.option("--follow-links", is_flag=True, help="Also send files that are symbolic links in the folder.")
 @click.option("--json", "as_json", is_flag=True, help="Print the session, or one line a file, as JSON.")
 def command(
     *,
@@ -41,16 +42,19 @@ def command(
     watch: bool,
     settle_s: float,
     poll_s: float,
+    follow_links: bool,
     as_json: bool,
 ) -> None:
     """Send TELEMETRY, a file or a folder of files, to a magcal service.
 
     Safe to repeat: the same bytes are the same session, and what the network loses is sent again. A file of a folder is
     moved to its subfolder sent/ when the service has its bytes on disk, to refused/ (with its faults in NAME.why) where
-    the service will never take it, and stays where it is while the service cannot be reached.
+    the service will never take it, and stays where it is while the service cannot be reached. What lies in sent/ is
+    asked for again, and sent again where the service does not have it: after a restore from a backup, push once.
     """
     from app.client.blocking import Client
-    from app.client.station import Destination, Station, taken
+    from app.client.folder import taken
+    from app.client.station import Destination, Station
 
     if not telemetry.is_dir():
         if watch:
@@ -59,10 +63,21 @@ def command(
             _push_file(client, telemetry, satellite, magnetometer, as_json=as_json)
         return
     signal.signal(signal.SIGIO, signal.SIG_IGN)
-    with taken(telemetry), Client(url, key, tries=2) as client:
-        station = Station(telemetry, client, Destination(satellite, magnetometer), settle_s=settle_s)
+    stop = threading.Event()
+    if watch:
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: stop.set())
+    with taken(telemetry), Client(url, key, tries=2, wait=stop.wait) as client:
+        station = Station(
+            telemetry,
+            client,
+            Destination(satellite, magnetometer),
+            settle_s=settle_s,
+            follow_links=follow_links,
+            is_stopped=stop.is_set,
+        )
         if watch:
-            _watch(station, poll_s, as_json=as_json)
+            _watch(station, stop, poll_s, as_json=as_json)
         elif not _push_once(station, settle_s, as_json=as_json):
             raise SystemExit(1)
 
@@ -99,11 +114,8 @@ def _push_once(station: Station, settle_s: float, *, as_json: bool) -> bool:
     return all(outcome.state == "sent" for outcome in outcomes)
 
 
-def _watch(station: Station, poll_s: float, *, as_json: bool) -> None:
-    """Send what arrives until SIGTERM or SIGINT; look less often while something cannot be sent."""
-    stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+def _watch(station: Station, stop: threading.Event, poll_s: float, *, as_json: bool) -> None:
+    """Send what arrives until ``stop``; look less often while something cannot be sent."""
     pause_s = poll_s
     told: dict[str, str | None] = {}
     while not stop.is_set():
@@ -124,6 +136,11 @@ def _tell(outcome: Outcome, *, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(asdict(outcome)))
     elif outcome.state == "sent":
-        click.echo(f"{outcome.name}: session {outcome.session_id}")
+        click.echo(shown(f"{outcome.name}: session {outcome.session_id}"))
     else:
-        click.echo(f"{outcome.name}: {outcome.state}: {outcome.why}", err=True)
+        click.echo(shown(f"{outcome.name}: {outcome.state}: {outcome.why}"), err=True)
+
+
+def shown(text: str) -> str:
+    """Return ``text``, which came from outside, with everything escaped that a terminal would obey or cannot show."""
+    return "".join(one if one.isprintable() else one.encode("unicode_escape").decode("ascii") for one in text)

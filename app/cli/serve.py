@@ -12,8 +12,8 @@ import click
 def command(host: str | None, port: int | None, workers: int | None) -> None:
     """Serve the API and the dashboard; on SQLite, work on the jobs too."""
     from app.server import serve
-    from app.settings import Settings
+    from app.settings import load_settings
 
     given = {"host": host, "port": port, "workers": workers}
-    settings = Settings().model_copy(update={name: value for name, value in given.items() if value is not None})
+    settings = load_settings().model_copy(update={name: value for name, value in given.items() if value is not None})
     serve(settings)

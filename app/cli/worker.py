@@ -9,8 +9,8 @@ import click
 @click.option("--concurrency", type=click.IntRange(1, 64), help="Jobs at once.  [default: one per CPU, at most 4]")
 def command(concurrency: int | None) -> None:
     """Work on jobs, on any machine that reaches the database, until told to stop."""
-    from app.settings import Settings
+    from app.settings import load_settings
     from app.worker import work
 
-    settings = Settings()
+    settings = load_settings()
     work(settings, settings.workers if concurrency is None else concurrency)

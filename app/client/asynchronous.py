@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from types import TracebackType
 from typing import Self
 
@@ -11,6 +11,7 @@ import httpx2
 from pydantic import JsonValue
 
 from app.client.requests import (
+    DATABASE_HEADER,
     ENDED,
     LONGEST_POLL_S,
     POLL_S,
@@ -23,7 +24,9 @@ from app.client.requests import (
     ServiceUnreachableError,
     apply_call,
     calibration_call,
+    confirm_call,
     creation,
+    document_of,
     is_worth_repeating,
     orbits_call,
     pause_s,
@@ -40,6 +43,7 @@ class AsyncClient:
 
     def __init__(self, url: str, key: str, *, tries: int = TRIES, timeout_s: float = 60.0) -> None:
         self._tries = tries
+        self.database: str | None = None
         self._http = httpx2.AsyncClient(
             base_url=f"{url.rstrip('/')}/api/v1",
             headers={"Authorization": f"Bearer {key}", "Accept": "application/json"},
@@ -76,6 +80,13 @@ class AsyncClient:
     ) -> Record:
         """Return the session that telemetry became; the same bytes are the same session."""
         return await self._record(upload_call(satellite, magnetometer, content, media_type), progress)
+
+    async def confirm(self, satellite: str, magnetometer: str, digests: Sequence[str]) -> Record:
+        """Return which telemetry the service has, by the SHA-256 of its bytes: ``held``, or ``expired`` by retention.
+
+        ``database`` is the id of the service's database.
+        """
+        return await self._record(confirm_call(satellite, magnetometer, digests))
 
     async def calibrate(self, session_ids: list[str], progress: Progress | None = None, **options: JsonValue) -> Record:
         """Return the parameter set of a calibration, once its job has ended.
@@ -117,8 +128,7 @@ class AsyncClient:
                 raise
 
     async def _record(self, call: Call, progress: Progress | None = None) -> Record:
-        document: Record = (await self._answer(call, progress)).json()
-        return document
+        return document_of(await self._answer(call, progress))
 
     async def _answer(self, call: Call, progress: Progress | None = None) -> httpx2.Response:
         """Return the answer to a call, after as many tries as it takes; the errors are those of the other client."""
@@ -133,11 +143,12 @@ class AsyncClient:
                     json=call.json,
                     content=content if content is None or progress is None else _pieces(content, progress),
                 )
-            except httpx2.TransportError as error:
+            except httpx2.RequestError as error:
                 if tried == self._tries:
                     raise ServiceUnreachableError(f"{self._http.base_url} does not answer: {error}") from error
                 await asyncio.sleep(pause_s(tried, None))
                 continue
+            self.database = answer.headers.get(DATABASE_HEADER, self.database)
             if answer.is_success:
                 return answer
             if not is_worth_repeating(answer) or tried == self._tries:

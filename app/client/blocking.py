@@ -7,6 +7,7 @@ call is repeated where the network or the service asks for it.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Self
 
@@ -14,6 +15,7 @@ import httpx2
 from pydantic import JsonValue
 
 from app.client.requests import (
+    DATABASE_HEADER,
     ENDED,
     LONGEST_POLL_S,
     POLL_S,
@@ -27,7 +29,9 @@ from app.client.requests import (
     ServiceUnreachableError,
     apply_call,
     calibration_call,
+    confirm_call,
     creation,
+    document_of,
     is_worth_repeating,
     media_type_of,
     orbits_call,
@@ -51,10 +55,24 @@ __all__ = [
 
 
 class Client:
-    """A magcal service at ``url``, spoken to with ``key``; each call is tried up to ``tries`` times."""
+    """A magcal service at ``url``, spoken to with ``key``; each call is tried up to ``tries`` times.
 
-    def __init__(self, url: str, key: str, *, tries: int = TRIES, timeout_s: float = 60.0) -> None:
+    ``wait`` passes the time between two tries; it may end early, where the caller wants to stop. ``database`` is the id
+    of the service's database once an upload was answered.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        key: str,
+        *,
+        tries: int = TRIES,
+        timeout_s: float = 60.0,
+        wait: Callable[[float], object] = time.sleep,
+    ) -> None:
         self._tries = tries
+        self.database: str | None = None
+        self._wait = wait
         self._http = httpx2.Client(
             base_url=f"{url.rstrip('/')}/api/v1",
             headers={"Authorization": f"Bearer {key}", "Accept": "application/json"},
@@ -89,6 +107,13 @@ class Client:
     ) -> Record:
         """Return the session that telemetry became; the same bytes are the same session."""
         return self._record(upload_call(satellite, magnetometer, content, media_type), progress)
+
+    def confirm(self, satellite: str, magnetometer: str, digests: Sequence[str]) -> Record:
+        """Return which telemetry the service has, by the SHA-256 of its bytes: ``held``, or ``expired`` by retention.
+
+        ``database`` is the id of the service's database.
+        """
+        return self._record(confirm_call(satellite, magnetometer, digests))
 
     def calibrate(self, session_ids: list[str], progress: Progress | None = None, **options: JsonValue) -> Record:
         """Return the parameter set of a calibration, once its job has ended.
@@ -130,8 +155,7 @@ class Client:
                 raise
 
     def _record(self, call: Call, progress: Progress | None = None) -> Record:
-        document: Record = self._answer(call, progress).json()
-        return document
+        return document_of(self._answer(call, progress))
 
     def _answer(self, call: Call, progress: Progress | None = None) -> httpx2.Response:
         """Return the answer to a call, after as many tries as it takes.
@@ -154,14 +178,15 @@ class Client:
                     json=call.json,
                     content=content if content is None or progress is None else pieces(content, progress),
                 )
-            except httpx2.TransportError as error:
+            except httpx2.RequestError as error:
                 if tried == self._tries:
                     raise ServiceUnreachableError(f"{self._http.base_url} does not answer: {error}") from error
-                time.sleep(pause_s(tried, None))
+                self._wait(pause_s(tried, None))
                 continue
+            self.database = answer.headers.get(DATABASE_HEADER, self.database)
             if answer.is_success:
                 return answer
             if not is_worth_repeating(answer) or tried == self._tries:
                 raise refusal(answer)
-            time.sleep(pause_s(tried, answer))
+            self._wait(pause_s(tried, answer))
         raise ServiceUnreachableError("no tries were allowed")

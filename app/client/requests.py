@@ -29,6 +29,12 @@ Progress = Callable[[float], None]
 TRIES: Final = 6
 FIRST_PAUSE_S: Final = 0.5
 LONGEST_PAUSE_S: Final = 30.0
+PROBLEM: Final = "application/problem+json"
+PROBLEM_TYPE: Final = "urn:magcal:problem:"
+DATABASE_HEADER: Final = "Magcal-Database"
+"""Names the service's database in the answer to an upload."""
+MOST_CONFIRMED: Final = 1000
+"""Digests of one question."""
 WORTH_REPEATING: Final = frozenset({408, 429, 502, 503, 504})
 PIECE_BYTES: Final = 1 << 18
 ENDED: Final = frozenset({"succeeded", "failed", "cancelled"})
@@ -37,18 +43,26 @@ LONGEST_POLL_S: Final = 1.0
 
 
 class ServiceAnswerError(MagcalError):
-    """The service refused a call; ``code`` and the message are its own."""
+    """A call was refused; ``is_own`` where the service itself did so: then ``code`` and the message are its own."""
 
-    def __init__(self, status: int, problem: Mapping[str, JsonValue]) -> None:
+    def __init__(self, status: int, problem: Mapping[str, JsonValue], *, is_own: bool = True) -> None:
         faults = problem.get("errors")
+        self.is_own = is_own
         self.faults = (
-            [f"{one['where']}: {one['why']}" for one in faults if isinstance(one, dict)]
+            [f"{one.get('where')}: {one.get('why')}" for one in faults if isinstance(one, dict)]
             if isinstance(faults, list)
             else []
         )
         super().__init__("; ".join([str(problem.get("detail", f"HTTP {status}")), *self.faults[:3]]))
         self.status = status
         self.code = str(problem.get("code", "http"))  # type: ignore[misc]
+
+
+class ForeignAnswerError(ServiceAnswerError):
+    """Something between here and the service has answered in its place: a proxy, a login page."""
+
+    def __init__(self, status: int, why: str) -> None:
+        super().__init__(status, {"code": "foreign_answer", "detail": why}, is_own=False)
 
 
 class ServiceUnreachableError(MagcalError):
@@ -130,13 +144,39 @@ def progress_of(job: Record) -> float:
     return float(str(job["progress"]))
 
 
+def confirm_call(satellite: str, magnetometer: str, digests: Sequence[str]) -> Call:
+    """Return the call that asks which telemetry the service has, by the SHA-256 of its bytes."""
+    body: Record = {"magnetometer": magnetometer, "sha256": list[JsonValue](digests)}
+    return Call("POST", f"/satellites/{satellite}/sessions/confirm", json=body)
+
+
+def document_of(answer: httpx2.Response) -> Record:
+    """Return the document of an answer.
+
+    Raises
+    ------
+    ForeignAnswerError
+        It has none, so it is not the service's, whatever its status.
+    """
+    try:
+        document = answer.json()
+    except ValueError:
+        document = None
+    if not isinstance(document, dict):
+        raise ForeignAnswerError(answer.status_code, f"HTTP {answer.status_code} without a document of the service")
+    return document
+
+
 def refusal(answer: httpx2.Response) -> ServiceAnswerError:
-    """Return the error that an answer stands for."""
+    """Return the error that an answer stands for; only a problem of the service's own type is the service's."""
     try:
         document = answer.json()
     except ValueError:
         document = {}
-    return ServiceAnswerError(answer.status_code, document if isinstance(document, dict) else {})
+    found = document if isinstance(document, dict) else {}
+    is_problem = answer.headers.get("content-type", "").partition(";")[0].strip().lower() == PROBLEM
+    is_own = is_problem and found.get("type") == f"{PROBLEM_TYPE}{found.get('code')}"
+    return ServiceAnswerError(answer.status_code, found if is_own else {}, is_own=is_own)
 
 
 def is_worth_repeating(answer: httpx2.Response) -> bool:
@@ -146,9 +186,13 @@ def is_worth_repeating(answer: httpx2.Response) -> bool:
 
 
 def pause_s(tried: int, answer: httpx2.Response | None) -> float:
-    """Return how long to wait after ``tried`` attempts, s: doubling, spread at random, at least what is asked for."""
+    """Return how long to wait after ``tried`` attempts, s: doubling, spread at random.
+
+    It is at least what the answer asks for, up to `LONGEST_PAUSE_S`: nobody may make a client deaf for a day.
+    """
     after = None if answer is None else answer.headers.get("retry-after")
-    wanted_s = float(after) if after is not None and after.isdigit() else 0.0
+    is_number = after is not None and after.isascii() and after.isdigit()
+    wanted_s = min(float(after or 0), LONGEST_PAUSE_S) if is_number else 0.0
     doubled_s = min(FIRST_PAUSE_S * 2.0 ** (tried - 1), LONGEST_PAUSE_S)
     return max(wanted_s, random.uniform(0.5, 1.0) * doubled_s)  # noqa: S311  spreads clients, keeps no secret
 

@@ -12,8 +12,12 @@ from typing import Final
 
 from fastapi import APIRouter, Request, Response
 
+from app.reporting.figures.page import plotly_source
+
 router = APIRouter(include_in_schema=False)
 
+PLOTLY_CHANGE: Final = "m1"
+"""Changes with what magcal leaves out of the plot library, so that no browser keeps what it had before."""
 FOR_A_YEAR: Final = "public, max-age=31536000, immutable"
 STATIC_TYPES: Final = {
     ".js": "text/javascript; charset=utf-8",
@@ -44,8 +48,8 @@ def static_version() -> str:
 
 @cache
 def plotly_version() -> str:
-    """Return the version of the plot library's package."""
-    return version("plotly")
+    """Return what names the plot library as it is served: its package's version, and that of what is left out."""
+    return f"{version('plotly')}-{PLOTLY_CHANGE}"
 
 
 @cache
@@ -89,7 +93,7 @@ def plotly_asset(named_version: str, request: Request) -> Response:
 
 
 def _plotly() -> bytes:
-    return (resources.files("plotly") / "package_data" / "plotly.min.js").read_bytes()
+    return plotly_source().encode()
 
 
 @cache

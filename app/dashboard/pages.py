@@ -15,6 +15,7 @@ from app.access.key_repository import KEY_FORM, KeyRepository
 from app.dashboard import assets, page_data
 from app.errors import TooManyFailuresError, UnauthorizedError
 from app.http.dependencies import Config, Db
+from app.http.strict_json import in_time
 from app.reporting.figures.page import script_json
 
 if TYPE_CHECKING:
@@ -120,7 +121,7 @@ def keys_page(request: Request) -> HTMLResponse:
 async def form_fields(request: Request) -> dict[str, str]:
     """Return the fields of a short form; what is longer than any login is no form of ours."""
     body = b""
-    async for piece in request.stream():
+    async for piece in in_time(request.stream(), request.app.state.settings.request_timeout_s):
         body += piece
         if len(body) > MOST_FORM_BYTES:
             return {}
@@ -139,10 +140,6 @@ def log_in(
     form = KEY_FORM.fullmatch(key)
     address = request.client.host if request.client else "unknown"
     suspects = [f"address {address}", *([f"key {form[1]}"] if form else [])]
-    try:
-        limiter.check(*suspects)
-    except TooManyFailuresError as error:
-        return _render("login.html", 429, title="Sign in", target=target, message=f"{error.message}.")
     with db.write() as session:
         holder = verify_key(session, key, request.app.state.clock.now())
         token = None
@@ -150,6 +147,12 @@ def log_in(
             caller = Caller(holder.key_id, holder.scopes, address=address, request_id=request.state.request_id)
             token = KeyRepository(session, caller).open_login(holder.key_id, config.login_hours)
     if token is None:
+        try:
+            limiter.check(*suspects)
+        except TooManyFailuresError as error:
+            refused = _render("login.html", 429, title="Sign in", target=target, message=f"{error.message}.")
+            refused.headers.update(error.headers)
+            return refused
         limiter.note(*suspects)
         return _render("login.html", 403, title="Sign in", target=target, message=WRONG_KEY)
     response = RedirectResponse(target, 303, headers={"Cache-Control": "no-store"})

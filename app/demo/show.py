@@ -18,7 +18,7 @@ from app.client.blocking import Client, Record
 from app.demo.tables import drift_table, parameter_table, statistics_table
 from app.logs import configure_logs
 from app.server import listen, prepare, server_of
-from app.settings import Settings
+from app.settings import Settings, load_settings
 from magcal_core.errors import MagcalError
 from magcal_core.options import METHODS
 from magcal_core.simulation.dekart_mission import SESSIONS, Pass, simulated, tle_text
@@ -47,7 +47,7 @@ def run_demo(*, port: int, once: bool) -> None:
     """Fly the mission, print what was found, then serve until interrupted unless ``once``."""
     console = Console(width=None if Console().is_terminal else 110)
     with tempfile.TemporaryDirectory(prefix="magcal-demo-") as folder:
-        settings = Settings().model_copy(
+        settings = load_settings().model_copy(
             update={"data_dir": Path(folder), "database_url": None, "store_url": None, "port": port}
         )
         configure_logs(settings.model_copy(update={"log_level": "warning", "log_format": "console"}))

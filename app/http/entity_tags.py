@@ -77,7 +77,7 @@ class Revalidation:
             return
         database: Database = scope["app"].state.database
         revision, seen_s = database.revision(), time.monotonic()
-        if revision is None:
+        if revision is None or sum(name == b"host" for name, _ in scope["headers"]) != 1:
             await self._app(scope, receive, send)
             return
         headers = dict(scope["headers"])

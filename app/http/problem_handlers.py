@@ -16,7 +16,7 @@ from starlette.exceptions import HTTPException
 
 from app.errors import ServiceError, StorageFullError, UnavailableError, _without_value
 from app.problems import FaultBody, Problem, problem, problem_of
-from app.storage.retry import AWAY, is_contention
+from app.storage.retry import AWAY, DAMAGED, is_contention
 from magcal_core.errors import MagcalError
 
 log = structlog.get_logger()
@@ -108,12 +108,14 @@ def _http_error(request: Request, error: Exception) -> JSONResponse:
 
 def _database_error(request: Request, error: Exception) -> JSONResponse:
     is_cut = isinstance(error, DBAPIError) and error.connection_invalidated
-    if not (is_cut or isinstance(error, AWAY) or is_contention(error)):
+    is_damaged = isinstance(error, DBAPIError) and getattr(error.orig, "sqlite_errorname", "").startswith(DAMAGED)
+    if not (is_cut or is_damaged or isinstance(error, AWAY) or is_contention(error)):
         return _unexpected_error(request, error)
     text = str(getattr(error, "orig", error))
     log.warning("database_unavailable", error=text)
     if "disk is full" in text or "No space left" in text:
-        return problem_response(problem_of(StorageFullError("there is no room on the disk of the database")))
+        full = StorageFullError("there is no room on the disk of the database")
+        return problem_response(problem_of(full), full.headers)
     unavailable = UnavailableError("the database does not answer in time; try again")
     return problem_response(problem_of(unavailable), unavailable.headers)
 

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
-from collections.abc import Callable, Coroutine
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Coroutine, Iterator
 from typing import Any, Final
 
 from fastapi import HTTPException, Request, Response
 from fastapi.routing import APIRoute
 from pydantic import JsonValue
 
+from app.http.guards import admit, guards_of
+from app.http.unkeepable import has_unkeepable
 from app.storage.retry import retried_async
 
 MAX_JSON_BYTES: Final = 4 << 20
 MAX_DEPTH: Final = 32
+SLOWEST_BYTES_S: Final = 1000
+CLOSING: Final = {"Connection": "close"}
 MAX_MEMBERS: Final = 1000
 """Members of one object; lists may be longer."""
 
@@ -36,6 +41,40 @@ class BodyTooLargeError(HTTPException):
         super().__init__(413, f"the body is larger than {MAX_JSON_BYTES >> 20} MiB, which is the limit")
 
 
+class StalledBodyError(HTTPException):
+    """The body does not come in time; the connection is closed."""
+
+    code = "upload_stalled"
+
+    def __init__(self, limit_s: float) -> None:
+        super().__init__(408, f"the body made no progress for {limit_s:g} s, or came too slowly", CLOSING)
+
+
+async def in_time(stream: AsyncGenerator[bytes, None], limit_s: float) -> AsyncIterator[bytes]:
+    """Yield the pieces of a short body, none of them later than ``limit_s`` behind the one before.
+
+    Raises
+    ------
+    StalledBodyError
+        One is late, or after ``limit_s`` the body comes slower than `SLOWEST_BYTES_S`.
+    """
+    clock = asyncio.get_running_loop().time
+    begun, size = clock(), 0
+    while True:
+        try:
+            async with asyncio.timeout(limit_s):
+                piece = await anext(stream)
+        except StopAsyncIteration:
+            return
+        except TimeoutError:
+            raise StalledBodyError(limit_s) from None
+        size += len(piece)
+        elapsed_s = clock() - begun
+        if elapsed_s > limit_s and size < SLOWEST_BYTES_S * elapsed_s:
+            raise StalledBodyError(limit_s)
+        yield piece
+
+
 class StrictJsonRequest(Request):
     """A request whose JSON is read strictly."""
 
@@ -43,7 +82,7 @@ class StrictJsonRequest(Request):
         """Return the body; one larger than `MAX_JSON_BYTES` is refused."""
         if not hasattr(self, "_body"):
             pieces, size = [], 0
-            async for piece in self.stream():
+            async for piece in in_time(self.stream(), self.app.state.settings.request_timeout_s):
                 size += len(piece)
                 if size > MAX_JSON_BYTES:
                     raise BodyTooLargeError
@@ -65,14 +104,19 @@ class StrictJsonRequest(Request):
 
 
 class StrictJsonRoute(APIRoute):
-    """A route that reads JSON strictly, and tries again where its transaction loses against another."""
+    """A route that reads JSON strictly, and tries again where its transaction loses against another.
+
+    Whoever may not call it is told so before the body is read.
+    """
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         """Return the route's handler over strict requests."""
         handler = super().get_route_handler()
+        guards = guards_of(self.dependant) if self.body_field is not None else []
 
         async def handle(request: Request) -> Response:
             strict = StrictJsonRequest(request.scope, request.receive)
+            await admit(strict, guards)
             return await retried_async(lambda: handler(strict), lambda: strict.is_repeatable)
 
         return handle
@@ -101,6 +145,8 @@ def parse_json(content: bytes) -> JsonValue:
         raise JsonError("it is nested too deep or has a number that is too long") from None
     if _depth(document) > MAX_DEPTH:
         raise JsonError(f"it is nested deeper than {MAX_DEPTH}")
+    if any(has_unkeepable(text) for text in _texts(document)):
+        raise JsonError("a text has a NUL or half of a surrogate pair")
     return document
 
 
@@ -126,6 +172,20 @@ def _finite(text: str) -> float:
     if abs(value) == float("inf"):
         raise _NotStrictError("a number is out of range")
     return value
+
+
+def _texts(document: JsonValue) -> Iterator[str]:
+    """Yield every text of a document, the names of members too, without recursion."""
+    waiting: list[JsonValue] = [document]
+    while waiting:
+        one = waiting.pop()
+        if isinstance(one, str):
+            yield one
+        elif isinstance(one, dict):
+            yield from one
+            waiting.extend(one.values())
+        elif isinstance(one, list):
+            waiting.extend(one)
 
 
 def _depth(document: JsonValue) -> int:

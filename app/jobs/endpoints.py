@@ -48,7 +48,8 @@ def create_job(
         jobs = JobRepository(session, caller)
         made = recall(session, caller, key, asked)
         row = jobs.submit(body, queue, config.max_queued_jobs) if made is None else jobs.get(made)
-        remember(session, caller, key, asked, row.id)
+        if key is not None and made is None:
+            remember(session, caller, key, asked, row.id)
         job = jobs.read([row])[0]
     queue.announce()
     response.headers["Location"] = f"/api/v1/jobs/{job.id}"
@@ -60,6 +61,7 @@ def create_reprocessing(
     body: ReprocessingBody,
     caller: Operator,
     db: Db,
+    config: Config,
     queue: Jobs,
     response: Response,
     key: KeyHeader = None,
@@ -69,8 +71,11 @@ def create_reprocessing(
     with db.write() as session:
         jobs = JobRepository(session, caller)
         made = recall(session, caller, key, asked)
-        row = submit_reprocessing(session, caller, body, queue) if made is None else jobs.get(made)
-        remember(session, caller, key, asked, row.id)
+        row = jobs.get(made) if made is not None else None
+        if row is None:
+            row = submit_reprocessing(session, caller, body, queue, config.max_queued_jobs)
+        if key is not None and made is None:
+            remember(session, caller, key, asked, row.id)
         job = jobs.read([row])[0]
     queue.announce()
     response.headers["Location"] = f"/api/v1/jobs/{job.id}"

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sqlalchemy import ColumnElement, func, or_, select, true, update
+from sqlalchemy import ColumnElement, or_, select, true, update
 from sqlalchemy.orm import Session
 
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
-from app.errors import ConflictError, NotFoundError, QuotaError
+from app.errors import ConflictError, NotFoundError
 from app.http.paging import fetch_page
 from app.jobs.endings import tell_ended
 from app.jobs.fair_order import take_turns
 from app.jobs.kinds.registry import JOB_KINDS
 from app.jobs.queue import Queue
+from app.jobs.quota import check_quota
 from app.jobs.reprocessing import KIND, cancel_reprocessing, progress_of, settle
 from app.jobs.schemas import JobBody, JobQuery, JobRead
 from app.jobs.tables import Job, JobSession
@@ -37,7 +38,7 @@ class JobRepository:
         kind = JOB_KINDS[body.kind]
         admission = kind.admit(self.session, self.caller, body)
         if most_queued is not None:
-            self._check_quota(most_queued)
+            check_quota(self.session, self.caller, most_queued, 1)
             kind.check(self.session, admission)
         job = Job(
             id=new_id(),
@@ -61,12 +62,6 @@ class JobRepository:
         self.session.add_all(JobSession(job_id=job.id, session_id=one) for one in admission.session_ids)
         record_event(self.session, self.caller, f"job.{body.kind}", job.id, job.satellite_id)
         return job
-
-    def _check_quota(self, most_queued: int) -> None:
-        waiting = select(func.count()).where(Job.created_by == self.caller.key_id, Job.state == "queued")
-        used = self.session.scalar(waiting) or 0
-        if used >= most_queued:
-            raise QuotaError("jobs of this key that wait", most_queued, used, reset_s=60)
 
     def get(self, job_id: str) -> Job:
         """Return the job ``job_id``."""
@@ -96,6 +91,8 @@ class JobRepository:
     def cancel(self, job_id: str) -> Job:
         """Return the job ``job_id``, cancelled if it waited, about to be if it runs."""
         job = self.get(job_id)
+        if job.kind != KIND:  # a reprocessing's children are locked before it
+            self.session.refresh(job, with_for_update={"key_share": True})
         if job.state not in {"queued", "running"}:
             raise ConflictError(f"the job has {job.state} already")
         stopped = (

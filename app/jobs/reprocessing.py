@@ -18,6 +18,7 @@ from app.indices.repository import FIELD_FILE, check_field
 from app.jobs.endings import tell_ended
 from app.jobs.fair_order import take_turns
 from app.jobs.queue import Queue
+from app.jobs.quota import check_quota
 from app.jobs.schemas import ReprocessingBody
 from app.jobs.tables import Job, JobSession
 from app.satellites.repository import SatelliteRepository, within_reach
@@ -30,14 +31,23 @@ KIND: Final = "reprocessing"
 UNENDED: Final = ("queued", "running")
 
 
-def submit_reprocessing(session: Session, caller: Caller, body: ReprocessingBody, queue: Queue) -> Job:
-    """Return the job that sums up a calibration of each session that ``body`` names, all of them enqueued."""
+def submit_reprocessing(
+    session: Session, caller: Caller, body: ReprocessingBody, queue: Queue, most_queued: int
+) -> Job:
+    """Return the job that sums up a calibration of each session that ``body`` names, all of them enqueued.
+
+    Raises
+    ------
+    QuotaError
+        With these, more than ``most_queued`` jobs of the caller's key would wait.
+    """
     options = CalibrationOptions.from_dict(body.options).to_dict()
     file = {} if body.field_file is None else {FIELD_FILE: body.field_file}
     check_field(session, options | file)
     chosen = _sessions(session, caller, body)
     if not chosen:
         raise ConflictError("there is no closed session to reprocess")
+    check_quota(session, caller, most_queued, len(chosen))
     satellites = {row.satellite_id for row in chosen}
     parent = _job(
         caller,
@@ -117,7 +127,12 @@ def _counts(session: Session, parent_id: str) -> dict[str, int]:
 
 
 def settle(session: Session, parent_id: str) -> None:
-    """End a reprocessing whose last calibration has ended; its result says how they ended."""
+    """End a reprocessing whose last calibration has ended; its result says how they ended.
+
+    The parent is locked before its children are counted: of two children that end at once, the second to have the lock
+    sees that the first has ended. Whoever locks a child and its parent takes the child first.
+    """
+    session.execute(select(Job.id).where(Job.id == parent_id).with_for_update(key_share=True))
     unended = select(Job.id).where(Job.parent_id == parent_id, Job.state.in_(UNENDED))
     if session.scalar(select(exists(unended))):
         return
@@ -133,7 +148,12 @@ def settle(session: Session, parent_id: str) -> None:
 
 
 def cancel_reprocessing(session: Session, parent_id: str) -> None:
-    """Cancel what waits of a reprocessing and ask what runs to stop; the request itself is cancelled at once."""
+    """Cancel what waits of a reprocessing and ask what runs to stop; the request itself is cancelled at once.
+
+    Its children are locked first, lest one is claimed or handed back between the two statements and missed by both.
+    """
+    unended = select(Job.id).where(Job.parent_id == parent_id, Job.state.in_(UNENDED))
+    session.execute(unended.order_by(Job.id).with_for_update(key_share=True))
     for state, values in (
         ("queued", {"state": "cancelled", "cancel_requested": True, "finished_at": DatabaseNow()}),
         ("running", {"cancel_requested": True}),

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import timedelta
+from functools import partial
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from app.access.audit_trail import record_event
 from app.access.caller import SYSTEM
+from app.maintenance.removal import remove_objects
 from app.satellites.tables import Satellite
 from app.sessions.tables import Chunk, TelemetrySession
 from app.storage.database import Database, utc_now
+from app.storage.database_store import remove_later
+from app.storage.retry import retried
 from app.storage.store import Store, columns_key, raw_key
 
 
@@ -35,19 +39,34 @@ def expired(database: Database) -> list[Expired]:
 
 
 def remove_expired(database: Database, store: Store) -> list[Expired]:
-    """Return the sessions whose bytes have been removed; their records and parameter sets stay."""
-    removed = expired(database)
-    for one in removed:
-        with database.write() as session:
-            row = session.get_one(TelemetrySession, one.session_id)
-            row.raw_removed_at = utc_now()
-            shared = _shared(session, row)
-            for chunk in session.scalars(select(Chunk).where(Chunk.session_id == row.id)):
-                store.delete(session, columns_key(row.id, chunk.sequence))
-                if chunk.sha256 not in shared:
-                    store.delete(session, raw_key(row.satellite_id, chunk.sha256))
-            record_event(session, SYSTEM, "session.expire", row.id, row.satellite_id)
+    """Return the sessions whose bytes have been removed; their records and parameter sets stay.
+
+    What a run before this one said and was killed before it did is done too.
+    """
+    removed = [one for one in expired(database) if retried(partial(_expire, database, one.session_id))]
+    remove_objects(database, store)
     return removed
+
+
+def _expire(database: Database, session_id: str) -> bool:
+    """Return whether a session has been marked as removed, its objects as to be removed: it may have changed since."""
+    with database.write() as session:
+        row = session.get_one(TelemetrySession, session_id, with_for_update=True)
+        satellite = session.get_one(Satellite, row.satellite_id)
+        if satellite.retention_days is None or row.raw_removed_at is not None or row.data_until is None:
+            return False
+        if row.data_until >= utc_now() - timedelta(days=satellite.retention_days):
+            return False
+        row.raw_removed_at = utc_now()
+        chunks = session.scalars(select(Chunk).where(Chunk.session_id == row.id)).all()
+        keys = [
+            key
+            for chunk in chunks
+            for key in (raw_key(row.satellite_id, chunk.sha256), columns_key(row.id, chunk.sequence))
+        ]
+        remove_later(session, row.satellite_id, keys)
+        record_event(session, SYSTEM, "session.expire", row.id, row.satellite_id)
+        return True
 
 
 def _expired_rows(session: Session) -> list[TelemetrySession]:
@@ -62,17 +81,3 @@ def _expired_rows(session: Session) -> list[TelemetrySession]:
         )
         found.extend(session.scalars(own.order_by(TelemetrySession.id)))
     return found
-
-
-def _shared(session: Session, row: TelemetrySession) -> set[str]:
-    """Return the bytes that another session of the satellite still needs."""
-    other = (
-        select(Chunk.sha256)
-        .join(TelemetrySession)
-        .where(
-            TelemetrySession.satellite_id == row.satellite_id,
-            TelemetrySession.id != row.id,
-            TelemetrySession.raw_removed_at.is_(None),
-        )
-    )
-    return set(session.scalars(other))

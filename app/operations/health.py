@@ -84,6 +84,7 @@ def _stopped(request: Request, db: Db) -> list[str]:
 def _database(db: Db) -> State:
     try:
         db.check()
+        db.look_for_damage()
         with db.read() as session:
             session.execute(text("SELECT 1"))
     except SQLAlchemyError as error:

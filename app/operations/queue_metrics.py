@@ -9,9 +9,11 @@ from prometheus_client.core import GaugeMetricFamily, Metric
 from sqlalchemy import func, select
 
 from app.jobs.tables import Job
+from app.metrics import log
 from app.sessions.tables import TelemetrySession
 from app.storage.database import Database, utc_now
 from app.storage.database_store import Blob
+from app.storage.retry import AWAY
 
 
 class ServiceState:
@@ -21,7 +23,16 @@ class ServiceState:
         self._database = database
 
     def collect(self) -> Iterator[Metric]:
-        """Yield the gauges."""
+        """Yield the gauges; where the database is away, the one that says so."""
+        try:
+            metrics = list(self._state())
+        except AWAY as error:
+            log.warning("metrics_without_database", error=str(error))
+            metrics = []
+        yield GaugeMetricFamily("magcal_database_up", "Whether the database answers, 1 or 0.", value=bool(metrics))
+        yield from metrics
+
+    def _state(self) -> Iterator[Metric]:
         with self._database.read() as session:
             counts = session.execute(select(Job.state, func.count()).group_by(Job.state)).all()
             oldest = session.scalar(select(func.min(Job.created_at)).where(Job.state == "queued"))

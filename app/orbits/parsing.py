@@ -10,6 +10,8 @@ from typing import Final
 import numpy as np
 
 from app.errors import UnsupportedMediaError
+from app.http.unkeepable import has_unkeepable
+from magcal_core.errors import OrbitFormatError
 from magcal_core.orbit import Orbit
 from magcal_core.orbit.earth.frames import teme_to_itrf
 from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
@@ -46,8 +48,17 @@ def parse_message(body: bytes, media_type: str) -> list[ParsedOrbit]:
     if plain not in MEDIA_TYPES:
         raise UnsupportedMediaError("this content type is not an orbit message")
     found = parse_sources(body, plain or None)
+    _refuse_unkeepable(found)
     _propagate([source.orbit for source in found if isinstance(source.orbit, Sgp4Orbit)])
     return [_parsed(source) for source in found]
+
+
+def _refuse_unkeepable(sources: Sequence[OrbitSource]) -> None:
+    """Refuse a text that one of the databases could not keep, on both of them."""
+    for source in sources:
+        texts = (source.name or "", source.text, str(source.norad_id or ""), str(source.cospar_id or ""))
+        if any(map(has_unkeepable, texts)):
+            raise OrbitFormatError("the message has a NUL or a character that is none")
 
 
 def _propagate(orbits: Sequence[Sgp4Orbit]) -> None:

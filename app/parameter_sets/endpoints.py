@@ -9,6 +9,7 @@ from starlette.concurrency import run_in_threadpool
 
 from app.access.authentication import Operator, Reader, authenticate
 from app.access.caller import Caller
+from app.errors import NotFoundError
 from app.http.dependencies import Blobs, Config, Db
 from app.http.entity_tags import UNCHANGED, is_known, tagged_json, unchanged
 from app.http.receiving import Upload, receive
@@ -63,8 +64,10 @@ def get_parameter_set(parameter_set_id: str, request: Request, caller: Reader, d
         wanted = found(connection, caller, parameter_set_id)
         if is_known(request, wanted.tag):
             return unchanged(wanted.tag)
-        (content,) = request.app.state.texts.of(connection, wanted.sets)
-    return tagged_json(content, wanted.tag)
+        texts = request.app.state.texts.of(connection, wanted.sets)
+    if not texts:  # removed with its satellite since it was found
+        raise NotFoundError("no such parameter set")
+    return tagged_json(texts[0], wanted.tag)
 
 
 @router.get("/{parameter_set_id}/residuals", responses=TABLES)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import threading
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -69,15 +70,17 @@ def found(connection: Connection, caller: Caller, parameter_set_id: str) -> List
 
 
 class Texts:
-    """Parameter sets in JSON, the latest that were asked for at hand."""
+    """Parameter sets in JSON, the latest that were asked for at hand; requests of several threads ask at once."""
 
     def __init__(self) -> None:
+        self._lock = threading.Lock()
         self._texts: OrderedDict[tuple[str, str], bytes] = OrderedDict()
         self._size = 0
 
     def of(self, connection: Connection, sets: Sequence[tuple[str, str]]) -> list[bytes]:
         """Return the JSON of each of ``sets``, which the caller reaches."""
-        texts = {one: self._texts.get(one) for one in sets}
+        with self._lock:
+            texts = {one: self._texts.get(one) for one in sets}
         missing = [one for one, content in texts.items() if content is None]
         if missing:
             texts |= self._read(connection, missing)
@@ -85,11 +88,12 @@ class Texts:
 
     def _read(self, connection: Connection, sets: Sequence[tuple[str, str]]) -> dict[tuple[str, str], bytes]:
         read = _written(connection, dict(sets))
-        for one, content in read.items():
-            self._size += len(content) - len(self._texts.pop(one, b""))
-            self._texts[one] = content
-        while self._size > MOST_BYTES and self._texts:
-            self._size -= len(self._texts.popitem(last=False)[1])
+        with self._lock:
+            for one, content in read.items():
+                self._size += len(content) - len(self._texts.pop(one, b""))
+                self._texts[one] = content
+            while self._size > MOST_BYTES and self._texts:
+                self._size -= len(self._texts.popitem(last=False)[1])
         return read
 
 

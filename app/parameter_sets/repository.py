@@ -103,11 +103,11 @@ class ParameterSetRepository:
     def activate(self, parameter_set_id: str, *, force: bool) -> ParameterSet:
         """Return the parameter set, now the active one of its magnetometer; the one before is retired."""
         row = self.get(parameter_set_id)
+        current = self._current(row)
         if row.status == "active":
             return row
         if row.grade == "refuse" and not force:
             raise RefusedVerdictError("the verdict is refuse; send force=true to put it in force all the same")
-        current = self._current(row)
         self._replace(current, row, None if current is None else current.id)
         record_event(self.session, self.caller, "parameter_set.activate", row.id, row.satellite_id)
         return row
@@ -128,8 +128,13 @@ class ParameterSetRepository:
         return row
 
     def _current(self, row: ParameterSet) -> Activation | None:
-        """Return the activation in force, with the magnetometer locked so that it stays so."""
-        self.session.get_one(Magnetometer, (row.satellite_id, row.magnetometer_id), with_for_update=True)
+        """Return the activation in force, with the magnetometer locked so that it stays so.
+
+        What was read of ``row`` before the lock may have been another's to change, so it is read again.
+        """
+        place = (row.satellite_id, row.magnetometer_id)
+        self.session.get_one(Magnetometer, place, with_for_update={"key_share": True})
+        self.session.refresh(row)
         return self.session.scalar(
             select(Activation).where(
                 Activation.satellite_id == row.satellite_id,
@@ -141,6 +146,7 @@ class ParameterSetRepository:
     def _replace(self, current: Activation | None, row: ParameterSet | None, previous_id: str | None) -> None:
         now = utc_now()
         if current is not None:
+            now = max(now, current.begun_at)  # activations follow one another, whatever the machine's clock does
             current.ended_at = now
             self.session.get_one(ParameterSet, current.parameter_set_id).status = "retired"
             self.session.flush()

@@ -61,6 +61,14 @@ class Activation(Base):
     __table_args__ = (
         ForeignKeyConstraint(["satellite_id", "magnetometer_id"], ["magnetometer.satellite_id", "magnetometer.id"]),
         Index(None, "satellite_id", "magnetometer_id", "begun_at"),
+        Index(
+            "ux_activation_open",
+            "satellite_id",
+            "magnetometer_id",
+            unique=True,
+            sqlite_where=text("ended_at IS NULL"),
+            postgresql_where=text("ended_at IS NULL"),
+        ),
     )
 
     id: Mapped[str] = mapped_column(String(32), primary_key=True)

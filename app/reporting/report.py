@@ -17,7 +17,7 @@ import numpy as np
 from app.records.parameter_set import ParameterSetRecord, ParametersRecord, parameter_values
 from app.reporting import figures
 from app.reporting.figures.extras import ablation_rows
-from app.reporting.figures.page import plotly_source, script_json
+from app.reporting.figures.page import POLICY, plotly_source, script_json
 from magcal_core.calibration.residuals import ResidualTable
 from magcal_core.errors import MagcalError
 from magcal_core.sensor.regressors import is_of_scale, source_of
@@ -106,6 +106,7 @@ def render_report(
             pointing=pointing,
             plotly_js=plotly_source() if plates else "",
             title=_title(record),
+            policy=POLICY,
         )
     )
 

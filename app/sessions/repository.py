@@ -18,6 +18,7 @@ from app.access.caller import Caller
 from app.errors import ConflictError, ExpiredError, NotFoundError, QuotaError
 from app.http.paging import fetch_page
 from app.http.receiving import Upload
+from app.http.unkeepable import has_unkeepable
 from app.satellites.repository import within_reach
 from app.satellites.tables import Magnetometer, Satellite
 from app.sessions.chunk_format import decode, encode
@@ -25,7 +26,9 @@ from app.sessions.schemas import SessionQuery
 from app.sessions.sensor_reading import column_names
 from app.sessions.tables import Chunk, TelemetrySession
 from app.storage.database import new_id, utc_now
+from app.storage.database_store import is_whole, keep_after_all
 from app.storage.store import Packed, Store, columns_key, digest, raw_key
+from magcal_core.errors import TelemetryFormatError
 from magcal_core.samples import Samples
 from magcal_core.telemetry import Telemetry, merge_samples
 
@@ -86,6 +89,8 @@ class Parsed:
 
         ``reading`` is how its bytes were read.
         """
+        if any(map(has_unkeepable, column_names(telemetry.samples))):
+            raise TelemetryFormatError("a column's name has a NUL or a character that is none")
         columns = encode(telemetry.samples)
         return cls(
             store.pack(upload.content, upload.sha256) if raw is None else raw,
@@ -263,10 +268,54 @@ class SessionRepository:
         writing.events.append(event_of(self.caller, "session.create", row.id, satellite_id))
         return row, True
 
+    def is_whole(self, row: TelemetrySession, sha256: str, store: Store) -> bool:
+        """Return whether the bytes ``sha256`` of a session, and what was made of them, are there; they are read."""
+        if row.raw_removed_at is not None:
+            return False
+        chunk = self.session.scalar(select(Chunk).where(Chunk.session_id == row.id, Chunk.sha256 == sha256))
+        return chunk is None or self._has_bytes(row, chunk, store)
+
+    def _has_bytes(self, row: TelemetrySession, chunk: Chunk, store: Store) -> bool:
+        raw = raw_key(row.satellite_id, chunk.sha256)
+        columns = columns_key(row.id, chunk.sequence)
+        return is_whole(store, self.session, raw, chunk.sha256) and is_whole(
+            store, self.session, columns, chunk.columns_sha256
+        )
+
+    def restore(self, row: TelemetrySession, parsed: Parsed, store: Store) -> bool:
+        """Return whether bytes that the session had lost are now kept again: removed, gone or not those of its row.
+
+        A session whose bytes were removed counts as removed until every one of its chunks has come again.
+        """
+        sha256 = parsed.raw.sha256
+        if self.is_whole(row, sha256, store):
+            return False
+        self.session.refresh(row, with_for_update=True)
+        chunks = self.chunks(row.id)
+        chunk = next((one for one in chunks if one.sha256 == sha256), None)
+        if chunk is None or (row.raw_removed_at is None and self._has_bytes(row, chunk, store)):
+            return False
+        objects = {
+            raw_key(row.satellite_id, sha256): parsed.raw,
+            columns_key(row.id, chunk.sequence): parsed.columns,
+        }
+        for key, content in objects.items():
+            store.replace(self.session, key, content)
+        samples = len(parsed.telemetry.samples)
+        row.samples += samples - chunk.samples
+        chunk.samples, chunk.columns_sha256, chunk.reading = samples, parsed.columns.sha256, parsed.reading
+        keep_after_all(self.session, list(objects))
+        if row.raw_removed_at is not None and all(self._has_bytes(row, one, store) for one in chunks):
+            row.raw_removed_at = None
+        record_event(self.session, self.caller, "session.restore", row.id, row.satellite_id)
+        self.session.flush()
+        return True
+
     def append(self, row: TelemetrySession, parsed: Parsed, store: Store) -> None:
-        """Add a chunk to an open session; one that is there already changes nothing."""
+        """Add a chunk to an open session; one that is there already, with its bytes, changes nothing."""
         chunks = self.chunks(row.id)
         if any(chunk.sha256 == parsed.raw.sha256 for chunk in chunks):
+            self.restore(row, parsed, store)
             return
         if row.state != "open":
             raise ConflictError("the session is closed")
@@ -288,8 +337,8 @@ class SessionRepository:
                 setattr(row, name, value)
             key = columns_key(row.id, chunk.sequence)
             if chunk.columns_sha256 != parsed.columns.sha256:
-                store.delete(self.session, key)
-                chunk.columns_sha256 = store.put(self.session, key, parsed.columns)
+                store.replace(self.session, key, parsed.columns)
+                chunk.columns_sha256 = parsed.columns.sha256
             chunk.samples, chunk.reading = len(parsed.telemetry.samples), parsed.reading
         record_event(self.session, self.caller, "session.read_again", row.id, row.satellite_id)
 

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import closing, contextmanager, nullcontext
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Final
 
 from sqlalchemy import (
@@ -26,7 +27,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.engine.interfaces import DBAPIConnection, ExceptionContext
-from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import DatabaseError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.orm import DeclarativeBase, Session
@@ -36,6 +37,7 @@ from sqlalchemy.sql.visitors import InternalTraversal
 from sqlalchemy.types import TypeDecorator
 
 from app.settings import Settings
+from app.storage.retry import DAMAGED
 
 WRITES: Final = "magcal_writes"
 POOL_SIZE: Final = 32
@@ -45,6 +47,8 @@ CHECKPOINT_PAGES: Final = 1000
 """Length of the write-ahead log at which a transaction brings it home itself; SQLite's own value."""
 UNSYNCED: Final = frozenset({"SQLITE_IOERR_FSYNC", "SQLITE_IOERR_DIR_FSYNC"})
 """How SQLite tells of a sync that failed; PostgreSQL ends its server then, and recovers."""
+LONGEST_LOOK_S: Final = 0.5
+"""So long a look for damage may take; a database that takes longer is looked at as far as that."""
 POSTGRES_OPTIONS: Final = (
     "-c timezone=UTC -c synchronous_commit=on -c statement_timeout=60000 -c lock_timeout=5000 "
     "-c idle_in_transaction_session_timeout={idle_ms}"
@@ -137,8 +141,12 @@ class Database:
         self._bringer = ThreadPoolExecutor(1, "checkpoint")
         self._brought: Future[None] | None = None
         self._failure: OperationalError | None = None
+        self._expected: tuple[str, tuple[int, int] | None] | None = None
+        self._looked_at: tuple[int, int, int] | None = None
         if self.is_sqlite:
             event.listen(self.engine, "handle_error", self._note)
+        else:
+            event.listen(self.engine, "connect", self._check_identity)
 
     @contextmanager
     def read(self) -> Iterator[Session]:
@@ -202,18 +210,80 @@ class Database:
         finally:
             self._writer.release()
 
+    def expect(self, database_id: str) -> None:
+        """Write from now on only to the database that is there now, which is known as ``database_id``.
+
+        SQLite's is told by its file, which may be replaced or removed under this process; PostgreSQL's by its row of
+        identity, on every new connection: behind its address may stand another server.
+        """
+        self._expected = database_id, self._file() if self.is_sqlite else None
+
+    def _file(self) -> tuple[int, int] | None:
+        """Return what tells the database's file from another one of its name; None where there is none."""
+        try:
+            found = Path(self._name).stat()
+        except OSError:
+            return None
+        return found.st_dev, found.st_ino
+
+    def _check_identity(self, connection: DBAPIConnection, _entry: ConnectionPoolEntry) -> None:
+        """Refuse a new connection of PostgreSQL that leads to another database than is expected."""
+        if self._expected is None:
+            return
+        cursor = connection.cursor()
+        cursor.execute("SELECT to_regclass('service_identity')")
+        found = cursor.fetchone()
+        if found is not None and found[0] is not None:
+            cursor.execute("SELECT database_id FROM service_identity")
+            found = cursor.fetchone()
+        cursor.close()
+        connection.rollback()
+        if found is None or found[0] != self._expected[0]:
+            raise psycopg_error(f"the database is not {self._expected[0]}, which this process began with")
+
     def _note(self, context: ExceptionContext) -> None:
-        if isinstance(context.sqlalchemy_exception, OperationalError):
-            self._note_unsynced(context.sqlalchemy_exception)
+        error = context.sqlalchemy_exception
+        if isinstance(error, OperationalError):
+            self._note_unsynced(error)
+        elif isinstance(error, DatabaseError) and getattr(error.orig, "sqlite_errorname", "").startswith(DAMAGED):
+            self._failure = OperationalError("the database file is damaged", None, error.orig)  # type: ignore[arg-type]
 
     def _note_unsynced(self, error: OperationalError) -> None:
         if getattr(error.orig, "sqlite_errorname", None) in UNSYNCED:
             self._failure = error
 
     def check(self) -> None:
-        """Raise OperationalError where a sync has failed in this process, which then must be started anew."""
+        """Raise OperationalError where this process must not write any more.
+
+        A sync has failed in it, and it must be started anew; or the database is damaged, or another file has taken its
+        place.
+        """
+        if self.is_sqlite and self._expected is not None and self._file() != self._expected[1]:
+            gone = sqlite3.OperationalError(f"the database file {self._name} was removed or replaced")
+            raise OperationalError("the database is gone", None, gone)
         if self._failure is not None and self._failure.orig is not None:
             raise OperationalError("a sync failed before", None, self._failure.orig)
+
+    def look_for_damage(self) -> None:
+        """Raise OperationalError where the file of an SQLite database is damaged, as far as a short look shows.
+
+        The look is SQLite's own quick check over a connection of its own, which has nothing of the file in memory; a
+        file that has not changed since the last look is not looked at again.
+        """
+        if not self.is_sqlite or self._name == ":memory:":
+            return
+        try:
+            seen = Path(self._name).stat()
+        except FileNotFoundError as error:
+            gone = sqlite3.OperationalError(str(error))
+            raise OperationalError("the database file is gone", None, gone) from error
+        state = seen.st_ino, seen.st_size, seen.st_mtime_ns
+        if state != self._looked_at:
+            why = _damage(self._name)
+            if why is not None:
+                damaged = sqlite3.DatabaseError(why)
+                raise OperationalError("the database file is damaged", None, damaged)
+            self._looked_at = state
 
     def revision(self) -> int | None:
         """Return a number that any process's next commit changes; None on PostgreSQL, which has none at hand."""
@@ -230,6 +300,13 @@ class Database:
         self.engine.dispose()
         if self._watcher is not None:
             self._watcher.close()
+
+
+def psycopg_error(message: str) -> Exception:
+    """Return the error by which the driver of PostgreSQL tells that a database is out of reach."""
+    import psycopg
+
+    return psycopg.OperationalError(message)
 
 
 def _postgres_engine(settings: Settings, longest_idle_s: int) -> Engine:
@@ -254,6 +331,20 @@ def _sqlite_engine(settings: Settings) -> Engine:
     event.listen(engine, "connect", _prepare_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
     return engine
+
+
+def _damage(name: str) -> str | None:
+    """Return what a short look finds wrong with a database file, None where it finds nothing."""
+    until = time.monotonic() + LONGEST_LOOK_S
+    try:
+        with closing(sqlite3.connect(f"{Path(name).as_uri()}?mode=ro", uri=True, timeout=0.0)) as connection:
+            connection.set_progress_handler(lambda: int(time.monotonic() > until), 1000)
+            found = connection.execute("PRAGMA quick_check(1)").fetchone()
+    except sqlite3.OperationalError:
+        return None  # no time left for more of it, or a writer is at work
+    except sqlite3.DatabaseError as error:
+        return str(error)
+    return None if found is None or found[0] == "ok" else str(found[0])
 
 
 def _watcher_of(name: str) -> sqlite3.Connection:

@@ -5,7 +5,8 @@ An object is named by its key and known by the SHA-256 of its bytes, which every
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from datetime import datetime
 from typing import Final
 
 import zstandard
@@ -14,8 +15,8 @@ from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Mapped, Session, mapped_column
 
 from app.errors import StoredObjectCorruptError
-from app.storage.database import Base
-from app.storage.store import Packed, digest, verified
+from app.storage.database import Base, utc_now
+from app.storage.store import Packed, Store, digest, verified
 
 PART_BYTES: Final = 1 << 22
 ZSTD: Final = zstandard.ZstdCompressionParameters.from_level(1, hash_log=10, min_match=6)
@@ -46,17 +47,63 @@ class BlobPart(Base):
     content: Mapped[bytes] = mapped_column(LargeBinary)
 
 
+class ObjectToRemove(Base):
+    """An object that no row names any more, and that is to be removed once the transaction that said so is durable."""
+
+    __tablename__ = "object_to_remove"
+
+    key: Mapped[str] = mapped_column(String(200), primary_key=True)
+    satellite_id: Mapped[str] = mapped_column(String(63), index=True)
+    created_at: Mapped[datetime]
+
+
 BLOBS: Final = Blob.metadata.tables["blob"]
 BLOB_PARTS: Final = Blob.metadata.tables["blob_part"]
 """Without the mapper, which doubles the time that an upload holds the writer's turn."""
 INSERTS: Final = (("sqlite", sqlite.insert), ("postgresql", postgresql.insert))
 NEW_BLOB: Final = {name: insert(BLOBS).on_conflict_do_nothing() for name, insert in INSERTS}
 NEW_PART: Final = {name: insert(BLOB_PARTS).on_conflict_do_nothing() for name, insert in INSERTS}
-"""Equal bytes have equal parts: what is there already stays as it is."""
+"""Equal bytes have equal parts: what is there already stays as it is, where it is whole."""
+TO_REMOVE: Final = ObjectToRemove.metadata.tables["object_to_remove"]
+NEW_TO_REMOVE: Final = {name: insert(TO_REMOVE).on_conflict_do_nothing() for name, insert in INSERTS}
+
+
+def is_whole(store: Store, session: Session, key: str, sha256: str) -> bool:
+    """Return whether the bytes under ``key`` are there and have the digest ``sha256``; they are read for that."""
+    try:
+        store.get(session, key, sha256)
+    except StoredObjectCorruptError:
+        return False
+    return True
+
+
+def remove_later(session: Session, satellite_id: str, keys: Iterable[str]) -> None:
+    """Note that objects of a satellite are to be removed, in the transaction after which no row names them."""
+    now = utc_now()
+    rows = [{"key": key, "satellite_id": satellite_id, "created_at": now} for key in sorted(set(keys))]
+    if rows:
+        session.execute(NEW_TO_REMOVE[session.get_bind().dialect.name], rows)
+
+
+def keep_after_all(session: Session, keys: Sequence[str]) -> None:
+    """Take back that objects are to be removed: a row names them again."""
+    session.execute(delete(TO_REMOVE).where(TO_REMOVE.c.key.in_(keys)))
 
 
 class DatabaseStore:
     """Objects in the database, in the transaction of the rows that name them."""
+
+    is_outside = False
+
+    def marker(self) -> str | None:
+        """Return None: the store is the database itself."""
+        return None
+
+    def mark(self, database_id: str) -> None:
+        """Nothing to mark: the store is the database itself."""
+
+    def expect(self, database_id: str) -> None:
+        """Nothing to expect: the store is the database itself."""
 
     def pack(self, content: bytes, sha256: str) -> Packed:
         """Return ``content`` with its parts, compressed."""
@@ -79,9 +126,24 @@ class DatabaseStore:
             for key, one in objects
             for number, part in enumerate(one.parts)
         ]
-        for statements, values in ((NEW_BLOB, rows), (NEW_PART, parts)):
-            if values:
-                connection.execute(statements[connection.dialect.name], values)
+        if not rows:
+            return
+        made = connection.execute(NEW_BLOB[connection.dialect.name], rows)
+        if parts:
+            connection.execute(NEW_PART[connection.dialect.name], parts)
+        if made.rowcount != len(rows):
+            self._mend(session, objects)
+
+    def _mend(self, session: Session, objects: Sequence[tuple[str, Packed]]) -> None:
+        """Replace those of ``objects`` that were there already and are not whole."""
+        for key, one in objects:
+            if not is_whole(self, session, key, one.sha256):
+                self.replace(session, key, one)
+
+    def replace(self, session: Session, key: str, content: Packed) -> None:
+        """Keep ``content`` under ``key``, whatever lies there."""
+        self.delete(session, key)
+        self.put_all(session, [(key, content)])
 
     def get(self, session: Session, key: str, sha256: str) -> bytes:
         """Return the bytes under ``key``, verified."""
@@ -92,6 +154,11 @@ class DatabaseStore:
         except zstandard.ZstdError as error:
             raise StoredObjectCorruptError(f"the stored object {key} cannot be decompressed") from error
         return verified(key, content, sha256)
+
+    def has(self, session: Session, keys: Sequence[str]) -> set[str]:
+        """Return which of ``keys`` have an object, without reading it."""
+        with_parts = select(BlobPart.key).where(BlobPart.key.in_(keys), BlobPart.number == 0)
+        return set(session.scalars(with_parts))
 
     def delete(self, session: Session, key: str) -> None:
         """Forget the object under ``key``, if there is one."""

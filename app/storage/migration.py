@@ -19,6 +19,8 @@ import migrations
 from app.errors import ConflictError
 from app.settings import Settings
 from app.storage.database import WRITES, Database
+from app.storage.identity import refuse_empty, settle_identity
+from app.storage.store import Store
 
 log = structlog.get_logger()
 LOCK: Final = 0x6D616763616C  # "magcal", for pg_advisory_lock
@@ -57,7 +59,7 @@ def require_head(database: Database) -> None:
 
 
 @contextmanager
-def _alone(database: Database, settings: Settings) -> Iterator[None]:
+def alone(database: Database, settings: Settings) -> Iterator[None]:
     """Hold the lock that lets one process alone set a database up."""
     if not database.is_sqlite:
         with database.engine.connect() as connection:
@@ -80,7 +82,7 @@ def upgrade(database: Database, settings: Settings) -> None:
 
     Migrations only add, so that processes of the version before go on, and may start, while one is rolled out.
     """
-    with _alone(database, settings):
+    with alone(database, settings):
         found = current(database)
         if found == head():
             return
@@ -88,6 +90,20 @@ def upgrade(database: Database, settings: Settings) -> None:
             log.warning("schema_is_newer", revision=found, known=head())
             return
         migrate(database, "head")
+
+
+def set_up(database: Database, store: Store, settings: Settings) -> str:
+    """Return the id of a database that is up to date, and whose store and data folder are its own.
+
+    Raises
+    ------
+    WrongStoreError
+        They are another's; nothing was made or changed.
+    """
+    refuse_empty(database, store, settings)
+    upgrade(database, settings)
+    with alone(database, settings):
+        return settle_identity(database, store, settings)
 
 
 def _known() -> set[str]:

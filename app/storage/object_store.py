@@ -7,8 +7,10 @@ leaves, and `magcal db audit` tells of it.
 from __future__ import annotations
 
 import errno
+import json
 import os
 import secrets
+import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
@@ -25,6 +27,11 @@ FULL: Final = frozenset({errno.ENOSPC, errno.EDQUOT})
 FAILED: Final = (obstore.exceptions.BaseError, OSError)
 """What obstore raises: some of its errors are only Python's own, such as that of a bucket that is not there."""
 
+MARKER: Final = "magcal-store.json"
+"""Key of what says to which database a store belongs."""
+LOOK_AGAIN_S: Final = 10.0
+"""A bucket's marker is looked at again before a put, where the last look is older."""
+
 log = structlog.get_logger()
 
 
@@ -35,10 +42,29 @@ class FileStore:
     rather than try again as if nothing had happened.
     """
 
+    is_outside = True
+
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._broken: str | None = None
-        folder.mkdir(parents=True, exist_ok=True)
+        self._owner: str | None = None
+
+    def marker(self) -> str | None:
+        """Return the id of the database that the folder belongs to, None where it has no marker."""
+        try:
+            return _owner_in((self._folder / MARKER).read_bytes())
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except OSError as error:
+            raise UnavailableError("the store's marker cannot be read") from error
+
+    def mark(self, database_id: str) -> None:
+        """Make the folder, which is made where there is none, belong to a database."""
+        self._write(MARKER, _marker_of(database_id))
+
+    def expect(self, database_id: str) -> None:
+        """Keep and check from now on only while the folder belongs to a database."""
+        self._owner = database_id
 
     def pack(self, content: bytes, sha256: str) -> Packed:
         """Return ``content`` with its digest: it is kept as it is."""
@@ -48,12 +74,16 @@ class FileStore:
         """Keep ``content`` under ``key`` and return its SHA-256, hexadecimal."""
         packed = Packed.of(content)
         self.check()
+        self._write(key, packed.content)
+        return packed.sha256
+
+    def _write(self, key: str, content: bytes) -> None:
         path = self._folder / key
         aside = path.with_name(f"{path.name}.{secrets.token_hex(4)}.part")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             with aside.open("wb") as file:
-                file.write(packed.content)
+                file.write(content)
                 file.flush()
                 os.fsync(file.fileno())
             aside.replace(path)
@@ -65,12 +95,15 @@ class FileStore:
             self._broken = error.strerror or "I/O error"
             log.exception("store_failed", key=key)
             raise UnavailableError("the store could not keep the object") from error
-        return packed.sha256
 
     def put_all(self, session: Session, objects: Sequence[tuple[str, Packed]]) -> None:
         """Keep each of ``objects`` under its key."""
         for key, one in objects:
             self.put(session, key, one)
+
+    def replace(self, session: Session, key: str, content: Packed) -> None:
+        """Keep ``content`` under ``key``, whatever lies there."""
+        self.put(session, key, content)
 
     def _sync_folders(self, folder: Path) -> None:
         """Make the names of a new file and of new folders above it durable."""
@@ -94,6 +127,10 @@ class FileStore:
             raise UnavailableError("the store could not read the object") from error
         return verified(key, content, sha256)
 
+    def has(self, _session: Session, keys: Sequence[str]) -> set[str]:
+        """Return which of ``keys`` have an object, without reading it."""
+        return {key for key in keys if (self._folder / key).is_file()}
+
     def delete(self, _session: Session, key: str) -> None:
         """Forget the object under ``key``, if there is one."""
         (self._folder / key).unlink(missing_ok=True)
@@ -101,22 +138,57 @@ class FileStore:
     def keys(self, _session: Session) -> Iterator[str]:
         """Yield the key of every object."""
         for path in self._folder.rglob("*"):
-            if path.is_file() and path.suffix != ".part":
-                yield path.relative_to(self._folder).as_posix()
+            key = path.relative_to(self._folder).as_posix()
+            if key != MARKER and path.suffix != ".part" and path.is_file():
+                yield key
 
     def check(self) -> None:
-        """Raise UnavailableError where the folder cannot be written, or a write has failed before."""
+        """Raise UnavailableError where the folder is not the database's, cannot be written, or a write has failed."""
         if self._broken is not None:
             raise UnavailableError(f"the store failed and needs a restart: {self._broken}")
+        if self._owner is None:
+            self._folder.mkdir(parents=True, exist_ok=True)
+        elif self.marker() != self._owner:
+            raise UnavailableError(f"the store's folder is not that of the database {self._owner}: is it mounted?")
         if not os.access(self._folder, os.W_OK | os.X_OK):
             raise UnavailableError("the store's folder cannot be written")
 
 
 class BucketStore:
-    """Objects in a bucket; what it has acknowledged is durable."""
+    """Objects in a bucket; what it has acknowledged is durable.
 
-    def __init__(self, store: obstore.store.ObjectStore) -> None:
+    ``is_outside`` is false of one in memory, which ends with its process and so belongs to nobody.
+    """
+
+    def __init__(self, store: obstore.store.ObjectStore, *, is_outside: bool = True) -> None:
         self._store = store
+        self.is_outside = is_outside
+        self._owner: str | None = None
+        self._looked_s = 0.0
+
+    def marker(self) -> str | None:
+        """Return the id of the database that the bucket belongs to, None where it has no marker."""
+        if not self.is_outside:
+            return None
+        try:
+            return _owner_in(bytes(obstore.get(self._store, MARKER).bytes()))
+        except FileNotFoundError:
+            return None
+        except FAILED as error:
+            raise UnavailableError("the store does not answer") from error
+
+    def mark(self, database_id: str) -> None:
+        """Make the bucket belong to a database."""
+        if not self.is_outside:
+            return
+        try:
+            obstore.put(self._store, MARKER, _marker_of(database_id))
+        except FAILED as error:
+            raise UnavailableError("the store's marker cannot be written") from error
+
+    def expect(self, database_id: str) -> None:
+        """Keep and check from now on only while the bucket belongs to a database."""
+        self._owner = database_id if self.is_outside else None
 
     def pack(self, content: bytes, sha256: str) -> Packed:
         """Return ``content`` with its digest: it is kept as it is."""
@@ -125,6 +197,8 @@ class BucketStore:
     def put(self, _session: Session, key: str, content: bytes | Packed) -> str:
         """Keep ``content`` under ``key`` and return its SHA-256, hexadecimal."""
         packed = Packed.of(content)
+        if time.monotonic() - self._looked_s > LOOK_AGAIN_S:
+            self._check_owner()
         try:
             obstore.put(self._store, key, packed.content)
         except FAILED as error:
@@ -135,6 +209,23 @@ class BucketStore:
         """Keep each of ``objects`` under its key."""
         for key, one in objects:
             self.put(session, key, one)
+
+    def replace(self, session: Session, key: str, content: Packed) -> None:
+        """Keep ``content`` under ``key``, whatever lies there."""
+        self.put(session, key, content)
+
+    def has(self, _session: Session, keys: Sequence[str]) -> set[str]:
+        """Return which of ``keys`` have an object, without reading it."""
+        return {key for key in keys if self._has(key)}
+
+    def _has(self, key: str) -> bool:
+        try:
+            obstore.head(self._store, key)
+        except FileNotFoundError:
+            return False
+        except FAILED as error:
+            raise UnavailableError("the store does not answer") from error
+        return True
 
     def get(self, _session: Session, key: str, sha256: str) -> bytes:
         """Return the bytes under ``key``, verified."""
@@ -158,11 +249,35 @@ class BucketStore:
     def keys(self, _session: Session) -> Iterator[str]:
         """Yield the key of every object."""
         for part in obstore.list(self._store):
-            yield from (str(entry["path"]) for entry in part)
+            yield from (str(entry["path"]) for entry in part if entry["path"] != MARKER)
 
     def check(self) -> None:
-        """Raise UnavailableError where the bucket does not answer."""
+        """Raise UnavailableError where the bucket does not answer, or is not the database's."""
+        self._check_owner()
         try:
             next(iter(obstore.list(self._store, chunk_size=1)), None)
         except FAILED as error:
             raise UnavailableError("the store does not answer") from error
+
+    def _check_owner(self) -> None:
+        if self._owner is not None and self.marker() != self._owner:
+            raise UnavailableError(f"the store's bucket is not that of the database {self._owner}")
+        self._looked_s = time.monotonic()
+
+
+def _marker_of(database_id: str) -> bytes:
+    return json.dumps({"database": database_id}).encode() + b"\n"
+
+
+def _owner_in(marker: bytes) -> str:
+    """Return the id of the database in a marker.
+
+    Raises
+    ------
+    UnavailableError
+        It is not a marker as `_marker_of` makes it.
+    """
+    try:
+        return str(json.loads(marker)["database"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise UnavailableError("the store's marker cannot be read") from error

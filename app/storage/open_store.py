@@ -11,16 +11,29 @@ from app.settings import Settings
 from app.storage.database_store import DatabaseStore
 from app.storage.object_store import BucketStore, FileStore
 from app.storage.store import Store
+from magcal_core.errors import OptionError
 
 
 def open_url(url: str) -> FileStore | BucketStore:
-    """Return the store at ``url``: a folder (``file:///...``) or a bucket (``s3://...`` or what else obstore knows)."""
+    """Return the store at ``url``: a folder (``file:///...``) or a bucket (``s3://...`` or what else obstore knows).
+
+    Raises
+    ------
+    OptionError
+        The folder's address is not that of a folder of this machine, from its root on.
+    """
     parts = urlsplit(url)
     if parts.scheme in {"", "file"}:
-        return FileStore(Path(unquote(parts.path)))
+        folder = Path(unquote(parts.path))
+        if parts.netloc not in {"", "localhost"} or not folder.is_absolute():
+            raise OptionError("MAGCAL_STORE_URL names a folder, but not from the root on: want file:///srv/magcal")
+        return FileStore(folder)
     if parts.scheme == "memory":
-        return BucketStore(obstore.store.MemoryStore())
-    return BucketStore(obstore.store.from_url(url))
+        return BucketStore(obstore.store.MemoryStore(), is_outside=False)
+    try:
+        return BucketStore(obstore.store.from_url(url))
+    except (obstore.exceptions.BaseError, ValueError) as error:
+        raise OptionError(f"MAGCAL_STORE_URL names no store that is known: {error}") from error
 
 
 def open_store(settings: Settings) -> Store:

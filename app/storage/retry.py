@@ -17,9 +17,18 @@ MOST_RETRIES: Final = 3
 LONGEST_S: Final = 10.0
 """No further try is begun so long after the first: whoever waits is told to come back instead."""
 FIRST_PAUSE_S: Final = 0.05
-CONTENTION: Final = frozenset({"40001", "40P01", "55P03", "23505"})
-"""PostgreSQL: serialization failure, deadlock, lock not had in time, a row that two made at once."""
-SQLITE_CONTENTION: Final = ("SQLITE_BUSY", "SQLITE_LOCKED", "SQLITE_CONSTRAINT_UNIQUE", "SQLITE_CONSTRAINT_PRIMARYKEY")
+CONTENTION: Final = frozenset({"40001", "40P01", "55P03", "23505", "23503"})
+"""PostgreSQL: serialization failure, deadlock, lock not had in time, a row that two made at once, and one that another
+removed while this transaction named it."""
+SQLITE_CONTENTION: Final = (
+    "SQLITE_BUSY",
+    "SQLITE_LOCKED",
+    "SQLITE_CONSTRAINT_UNIQUE",
+    "SQLITE_CONSTRAINT_PRIMARYKEY",
+    "SQLITE_CONSTRAINT_FOREIGNKEY",
+)
+DAMAGED: Final = ("SQLITE_CORRUPT", "SQLITE_NOTADB")
+"""How SQLite tells of a file that is damaged, or none of its own."""
 AWAY: Final = (OperationalError, InterfaceError, PoolTimeoutError)
 """What SQLAlchemy raises where a database cannot be reached or does not answer in time."""
 

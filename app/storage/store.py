@@ -27,7 +27,27 @@ class Packed:
 
 
 class Store(Protocol):
-    """Keeps immutable objects; what `put` returns from is durable once the session's transaction is."""
+    """Keeps immutable objects; what `put` returns from is durable once the session's transaction is.
+
+    Attributes
+    ----------
+    is_outside : bool
+        Whether it is a place of its own, with a marker that says which database it belongs to.
+    """
+
+    is_outside: bool
+
+    def marker(self) -> str | None:
+        """Return the id of the database that the store belongs to, None where it has no marker or needs none."""
+        ...
+
+    def mark(self, database_id: str) -> None:
+        """Make the store belong to a database."""
+        ...
+
+    def expect(self, database_id: str) -> None:
+        """Keep and check from now on only while the store belongs to a database."""
+        ...
 
     def pack(self, content: bytes, sha256: str) -> Packed:
         """Return ``content``, of the digest ``sha256``, ready to be kept: what needs no transaction is done before."""
@@ -41,8 +61,16 @@ class Store(Protocol):
         """Keep each of ``objects`` under its key."""
         ...
 
+    def replace(self, session: Session, key: str, content: Packed) -> None:
+        """Keep ``content`` under ``key``, whatever lies there."""
+        ...
+
     def get(self, session: Session, key: str, sha256: str) -> bytes:
         """Return the bytes under ``key``; StoredObjectCorruptError where they are gone or not those of ``sha256``."""
+        ...
+
+    def has(self, session: Session, keys: Sequence[str]) -> set[str]:
+        """Return which of ``keys`` have an object, without reading it."""
         ...
 
     def delete(self, session: Session, key: str) -> None:

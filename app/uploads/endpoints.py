@@ -43,7 +43,7 @@ def _check_day(request: Request, caller: Caller, db: Db, config: Config) -> None
     "/satellites/{satellite_id}/sessions",
     status_code=201,
     openapi_extra=TELEMETRY_BODY,
-    responses={200: {"model": SessionRead, "description": "It was there already."}},
+    responses={200: {"model": SessionRead, "description": "It was there already, with its bytes."}},
 )
 async def upload_session(
     satellite_id: str,
@@ -53,7 +53,7 @@ async def upload_session(
     caller: Station,
     key: KeyHeader = None,
 ) -> SessionRead:
-    """Send telemetry of one magnetometer; the same bytes again are the same session."""
+    """Send telemetry of one magnetometer; the same bytes again are the same session, and mend it where it lost them."""
     state = request.app.state
     state.uploads.check(caller)
     if not is_short(request):
@@ -64,8 +64,10 @@ async def upload_session(
         async with state.uploads.place(caller):
             upload = await receive(request, state.settings, authenticate)
             kept = await state.keeper.keep(Asked(caller, satellite_id, query, upload, key))
-    response.status_code = 201 if kept.is_new else 200
+    response.status_code = 201 if kept.is_new or kept.is_restored else 200
     response.headers["Location"] = f"/api/v1/sessions/{kept.session.id}"
+    if state.database_id is not None:
+        response.headers["Magcal-Database"] = state.database_id
     return session_read(kept.session, kept.job_id)
 
 

@@ -13,7 +13,7 @@ from typing import Final
 from sqlalchemy.orm import Session
 
 from app.access.caller import SYSTEM, Caller
-from app.access.idempotency import fingerprint, recall, remember
+from app.access.idempotency import fingerprint, made_with, recall, remember
 from app.errors import ConflictError, ExpiredError
 from app.http.receiving import Upload
 from app.jobs.queue import Queue
@@ -32,6 +32,7 @@ from app.sessions.sensor_reading import SensorReading, format_of
 from app.sessions.tables import TelemetrySession
 from app.settings import Settings
 from app.storage.database import Database
+from app.storage.object_locks import hold_objects
 from app.storage.retry import retried
 from app.storage.store import Store, raw_key
 from magcal_core.errors import TimeError
@@ -46,11 +47,15 @@ PACKERS: Final = ThreadPoolExecutor(2, "pack")
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """What an upload became: its session, whether it is new, and the job that a policy queued."""
+    """What an upload became: its session, whether it is new, and the job that a policy queued.
+
+    ``is_restored`` tells of a session that was there, but not its bytes, which now are.
+    """
 
     session: TelemetrySession
     is_new: bool
     job_id: str | None = None
+    is_restored: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +83,11 @@ class Asked:
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """An upload that has been read, and is ready to be written; None where it opens a session without samples."""
+    """An upload that has been read, and is ready to be written.
+
+    ``parsed`` is None where it opens a session without samples, and where it only gives a session that is there, whole,
+    one more Idempotency-Key.
+    """
 
     asked: Asked
     magnetometer: Magnetometer
@@ -106,12 +115,13 @@ class Ingest:
             sha256 = None if asked.query.open or asked.key is not None else asked.upload.sha256
             magnetometer, known = sessions.place_of(asked.satellite_id, asked.query.magnetometer, sha256)
             found = sessions.get(known) if known is not None else self._find(session, asked) if asked.key else None
+            is_kept = found is not None and sessions.is_whole(found, asked.upload.sha256, self._store)
         if found is not None:
             self._check_epoch(found, asked)
-        if found is not None and asked.key is None:
+        if found is not None and is_kept and asked.key is None:
             return Kept(found, is_new=False)
         parsed = None
-        if found is None:
+        if not is_kept:
             parsed = self._parsed(magnetometer, asked.upload, asked.query.epoch_text, may_be_empty=asked.query.open)
         return Prepared(asked, magnetometer, parsed)
 
@@ -129,30 +139,41 @@ class Ingest:
 
     def write(self, session: Session, uploads: Sequence[Prepared]) -> list[Kept]:
         """Return what ``uploads`` are kept as once the transaction of ``session`` is durable."""
+        hold_objects(session, (one.asked.satellite_id for one in uploads))
         writing = Writing()
-        rows = [self._create(session, one, writing) for one in uploads]
+        kept = [self._create(session, one, writing) for one in uploads]
         writing.write(session, self._store)
-        append(session, [_received(row) for row, is_new in rows if is_new and row.state == "closed"])
+        append(session, [_received(one.session) for one in kept if one.is_new and one.session.state == "closed"])
         return [
-            Kept(row, is_new, self._follow_policy(session, one.asked.caller, one.magnetometer, row) if is_new else None)
-            for one, (row, is_new) in zip(uploads, rows, strict=True)
+            replace(its, job_id=self._follow_policy(session, one.asked.caller, one.magnetometer, its.session))
+            if its.is_new
+            else its
+            for one, its in zip(uploads, kept, strict=True)
         ]
 
-    def _create(self, session: Session, prepared: Prepared, writing: Writing) -> tuple[TelemetrySession, bool]:
-        asked = prepared.asked
+    def _create(self, session: Session, prepared: Prepared, writing: Writing) -> Kept:
+        asked, parsed = prepared.asked, prepared.parsed
+        sessions = SessionRepository(session, asked.caller)
         # Equal bytes are found by the insert itself; only what a key made has to be looked for.
-        row, is_new = (None if asked.key is None else self._find(session, asked)), False
+        made = recall(session, asked.caller, asked.key, asked.fingerprint)
+        row = None if made is None else sessions.get(made)
+        if row is None and parsed is None and not asked.query.open:
+            row = sessions.find_content(asked.satellite_id, asked.query.magnetometer, asked.upload.sha256)
+            if row is None:
+                raise ConflictError("the session was removed while the upload was read")
+        is_new = False
         if row is None:
-            row, is_new = SessionRepository(session, asked.caller).create(
-                asked.satellite_id, prepared.magnetometer.id, prepared.parsed, writing, is_open=asked.query.open
+            row, is_new = sessions.create(
+                asked.satellite_id, prepared.magnetometer.id, parsed, writing, is_open=asked.query.open
             )
-        if asked.key is not None:
+        is_restored = not is_new and parsed is not None and sessions.restore(row, parsed, self._store)
+        if asked.key is not None and made is None:
             remember(session, asked.caller, asked.key, asked.fingerprint, row.id)
-        return row, is_new
+        return Kept(row, is_new, is_restored=is_restored)
 
     def tell(self, prepared: Prepared, kept: Kept) -> None:
         """Count an upload that is durable, and wake whoever waits for its job."""
-        if kept.is_new:
+        if kept.is_new or kept.is_restored:
             UPLOAD_BYTES.inc(prepared.size_bytes)
         if kept.job_id is not None:
             self._queue.announce()
@@ -171,6 +192,7 @@ class Ingest:
         with self._database.write() as session:
             sessions = SessionRepository(session, caller)
             row = sessions.get(session_id)
+            hold_objects(session, [row.satellite_id])
             session.refresh(row, with_for_update=True)
             if parsed is not None:
                 sessions.append(row, parsed, self._store)
@@ -203,6 +225,7 @@ class Ingest:
         with self._database.write() as session:
             sessions = SessionRepository(session, caller)
             row = sessions.get(session_id)
+            hold_objects(session, [row.satellite_id])
             session.refresh(row, with_for_update=True)
             sessions.read_as(row, anew, self._store)
             return row
@@ -225,7 +248,7 @@ class Ingest:
         return Kept(row, is_open, job_id)
 
     def _find(self, session: Session, asked: Asked) -> TelemetrySession | None:
-        made = recall(session, asked.caller, asked.key, asked.fingerprint)
+        made = None if asked.key is None else made_with(session, asked.caller, asked.key, asked.fingerprint)
         sessions = SessionRepository(session, asked.caller)
         if made is not None:
             return sessions.get(made)

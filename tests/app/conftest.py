@@ -67,6 +67,12 @@ def run_service(settings: Settings) -> Iterator[Service]:
         listener.close()
 
 
+@pytest.fixture(scope="session")
+def serving() -> Callable[[Settings], Iterator[Service]]:
+    """What yields a service of one's own settings, for a fixture that shares it between tests."""
+    return run_service
+
+
 @pytest.fixture(scope="session", autouse=True)
 def plain_logs() -> None:
     """Log an error of the server in a page, not with every local variable of every frame, which takes a minute."""

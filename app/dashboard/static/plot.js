@@ -35,7 +35,7 @@ async function draw(node) {
       api(`${address}${address.includes("?") ? "&" : "?"}theme=${theme}`), plotly()]);
     node.style.minHeight = `${made.layout.height}px`;
     await Plotly.react(node, made.data, made.layout, {
-      responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
+      responsive: true, displaylogo: false, showSendToCloud: false, plotlyServerURL: "", modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
       toImageButtonOptions: { scale: 2 } });
     node.dataset.drawn = theme;
     node.removeAttribute("aria-busy");

@@ -56,7 +56,9 @@ export function table(columns, rows, { caption, file = "table", empty = "Nothing
   }
 
   function save() {
-    const cell = (value) => (/[",\n]/.test(value) ? `"${value.replaceAll('"', '""')}"` : value);
+    // A cell that a spreadsheet would run as a formula gets a quote in front, as the API's tables have it.
+    const harmless = (value) => (/^[=+\-@\t\r]/.test(value) && !/^[+-]?(\d|\.\d)[\d.,eE+-]*$/.test(value) ? `'${value}` : value);
+    const cell = (value) => ((found) => (/[",\r\n\t]/.test(found) ? `"${found.replaceAll('"', '""')}"` : found))(harmless(String(value ?? "")));
     const lines = [columns.map((column) => cell(column.name)), ...found().map((row) => columns.map((column) => cell(text(column, row))))];
     const blob = new Blob([lines.map((line) => line.join(",")).join("\r\n") + "\r\n"], { type: "text/csv" });
     const link = h("a", { href: URL.createObjectURL(blob), download: `${file}.csv` });

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from typing import Final
+from urllib.parse import unquote_plus
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app.http.problem_handlers import problem_response
+from app.http.unkeepable import has_unkeepable
 from app.problems import problem
 
 MOST_ADDRESS_BYTES: Final = 16 << 10
@@ -27,6 +29,13 @@ class RequestLimits:
             query: bytes = scope["query_string"]
             if len(scope["path"]) + len(query) > MOST_ADDRESS_BYTES or query.count(b"&") >= MOST_PARAMETERS:
                 body = problem(414, "address_too_long", TOO_LONG)
+                await problem_response(body)(scope, receive, send)
+                return
+            if sum(name == b"host" for name, _ in scope["headers"]) != 1:
+                await problem_response(problem(400, "bad_request", "want one Host header"))(scope, receive, send)
+                return
+            if has_unkeepable(scope["path"]) or has_unkeepable(unquote_plus(query.decode("latin-1"))):
+                body = problem(400, "bad_request", "the address has a NUL or a character that is none")
                 await problem_response(body)(scope, receive, send)
                 return
             if sum(len(name) + len(value) for name, value in scope["headers"]) > MOST_HEADER_BYTES:

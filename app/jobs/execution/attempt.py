@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 
 from app.jobs.execution.child import Failure, Task
 from app.jobs.execution.child_supervisor import AbandonedError, Calculator, ChildDiedError, TimedOutError
-from app.jobs.execution.leases import LostClaimError, finish, hand_back, is_cancelled, renew
+from app.jobs.execution.leases import LostClaimError, finish, hand_back, is_cancelled, renew, require_held
 from app.jobs.kinds.contract import Claim, JobKind, Outcome
 from app.jobs.kinds.registry import JOB_KINDS
 from app.jobs.queue import Queue
@@ -105,6 +105,7 @@ class Executor:
 
     def _keep(self, claim: Claim, found: Outcome) -> str:
         with self._database.write() as session:
+            require_held(session, claim)
             result = JOB_KINDS[claim.kind].keep(session, self._store, claim, found)
             finish(session, claim, "succeeded", result=result)
         return "succeeded"

@@ -174,6 +174,19 @@ def renew(session: Session, claim: Claim, lease_s: float, progress: float) -> Re
     return Renewal(cancelled is not None, bool(cancelled))
 
 
+def require_held(session: Session, claim: Claim) -> None:
+    """Hold the job for the transaction, which is about to keep what its attempt has found.
+
+    Raises
+    ------
+    LostClaimError
+        The claim no longer holds; nothing must be kept.
+    """
+    held = select(JOBS.c.id).where(_holds(claim)).with_for_update(key_share=True)
+    if session.execute(held).first() is None:
+        raise LostClaimError(f"attempt {claim.attempt} no longer holds job {claim.job_id}")
+
+
 def is_cancelled(session: Session, claim: Claim) -> bool:
     """Return whether the job is to be cancelled, or is no longer the claim's."""
     wanted = session.execute(select(JOBS.c.cancel_requested).where(_holds(claim))).scalar()
@@ -204,12 +217,21 @@ def finish(
 
 
 def hand_back(session: Session, claim: Claim, *, is_lost: bool) -> None:
-    """Let another attempt have the job; ``is_lost`` counts this one as lost."""
-    session.execute(
+    """Let another attempt have the job; ``is_lost`` counts this one as lost.
+
+    Raises
+    ------
+    LostClaimError
+        The claim no longer holds: the job is another attempt's, or has ended, and must not be handed out again.
+    """
+    handed_back = (
         update(JOBS)
         .where(_holds(claim))
         .values(state="queued", lease_until=None, worker=None, lost_attempts=JOBS.c.lost_attempts + int(is_lost))
+        .returning(JOBS.c.id)
     )
+    if session.execute(handed_back).first() is None:
+        raise LostClaimError(f"attempt {claim.attempt} no longer holds job {claim.job_id}")
 
 
 def _holds(claim: Claim) -> ColumnElement[bool]:
@@ -222,8 +244,9 @@ def _end(session: Session, which: ColumnElement[bool], state: str, error: Proble
         _ending(which).values(state=state, error=error).returning(JOBS.c.id, JOBS.c.parent_id)
     ).all()
     tell_ended(session, [job_id for job_id, _ in ended])
-    for parent_id in {parent_id for _, parent_id in ended} - {None}:
-        settle(session, str(parent_id))
+    parents = {str(parent_id) for _, parent_id in ended if parent_id is not None}
+    for parent_id in sorted(parents):  # one order, lest two lock crosswise
+        settle(session, parent_id)
     return len(ended)
 
 

@@ -2,21 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache
 from html import escape
 from importlib import resources
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from plotly.graph_objects import Figure
+
+
+WAYS_OUT: Final[Mapping[str, str]] = {
+    "https://cloud.plotly.com/newchart": "",
+    'showSendToCloud:{valType:"boolean",dflt:!0}': 'showSendToCloud:{valType:"boolean",dflt:!1}',
+    "Share chart": "",
+    "Plotly Cloud": "",
+}
+"""What the plot library would send a figure to somebody else by -> what stands there instead."""
+POLICY: Final = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'; "
+    "form-action 'none'"
+)
+"""What a page that carries its scripts inside may reach: nothing."""
 
 
 @cache
 def plotly_source() -> str:
-    """Return the plot library as its package ships it."""
-    return (resources.files("plotly") / "package_data" / "plotly.min.js").read_text(encoding="utf-8")
+    """Return the plot library as its package ships it, but for its ways out."""
+    source = (resources.files("plotly") / "package_data" / "plotly.min.js").read_text(encoding="utf-8")
+    for way, instead in WAYS_OUT.items():
+        source = source.replace(way, instead)
+    return source
 
 
 def script_json(text: str) -> str:
@@ -31,13 +47,14 @@ def figure_page(title: str, figures: Mapping[str, Figure]) -> str:
         f'<script type="application/json" class="figure">{script_json(str(figure.to_json()))}</script>'
         for name, figure in figures.items()
     ]
-    return _PAGE.format(title=escape(title), figures="\n".join(parts), plotly=plotly_source())
+    return _PAGE.format(title=escape(title), figures="\n".join(parts), plotly=plotly_source(), policy=POLICY)
 
 
 _PAGE = """<!doctype html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="{policy}">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{title}</title>
 <style>
@@ -56,7 +73,9 @@ h2 {{ font-size: 16px; margin: 28px 0 4px; }}
 <script>
 for (const source of document.querySelectorAll("script.figure")) {{
   const figure = JSON.parse(source.textContent);
-  Plotly.newPlot(source.previousElementSibling, figure.data, figure.layout, {{ displaylogo: false, responsive: true }});
+  Plotly.newPlot(source.previousElementSibling, figure.data, figure.layout, {{
+    displaylogo: false, responsive: true, showSendToCloud: false, plotlyServerURL: "",
+  }});
 }}
 </script>
 </body>

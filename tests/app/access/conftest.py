@@ -66,6 +66,7 @@ class World:
             "POST /satellites/{satellite_id}/magnetometers": {"json": {"id": "second", "unit": "nT"}},
             "POST /satellites/{satellite_id}/orbits": {"content": tle_text().encode(), "headers": TLE},
             "POST /satellites/{satellite_id}/sessions": telemetry | {"params": {"magnetometer": "mgm"}},
+            "POST /satellites/{satellite_id}/sessions/confirm": {"json": {"magnetometer": "mgm", "sha256": ["0" * 64]}},
             "POST /sessions/{session_id}/samples": telemetry,
             "POST /parameter-sets/{parameter_set_id}/apply": telemetry,
             "POST /jobs": {"json": {"kind": "calibration", "session_ids": [ids["session_id"]]}},
@@ -91,7 +92,7 @@ def scopes_of(operation: dict[str, object]) -> tuple[str, ...]:
 
 @pytest.fixture(scope="session")
 def document(service) -> dict:
-    answer = httpx2.get(f"{service.url}/openapi.json", trust_env=False)
+    answer = httpx2.get(f"{service.url}/openapi.json", trust_env=False, timeout=60.0)
     answer.raise_for_status()
     return answer.json()
 

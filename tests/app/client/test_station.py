@@ -201,14 +201,17 @@ def test_a_kill_between_the_service_s_work_and_its_answer_makes_no_second_sessio
     assert names(folder / "sent") == ["pass.csv"]
 
 
-def test_bytes_that_were_acknowledged_are_not_sent_again(service, satellite, folder):
-    """The second time nobody listens: what has its receipt needs no service."""
+def test_bytes_that_were_acknowledged_are_not_sent_again(service, api, satellite, folder):
+    """A receipt is a note, not proof: where nobody says that the bytes are there, they wait for who does."""
     key = service.key("ingest")
     write_whole(folder / "pass.csv", telemetry(0))
     assert push(folder, satellite, service.url, key).returncode == 0
     (folder / "sent" / "pass.csv").rename(folder / "again.csv")
-    assert push(folder, satellite, "http://127.0.0.1:9", key).returncode == 0
+    assert push(folder, satellite, "http://127.0.0.1:9", key).returncode == 1
+    assert names(folder) == ["again.csv"]
+    assert push(folder, satellite, service.url, key).returncode == 0
     assert names(folder / "sent") == ["again.csv"]
+    assert len(sessions(api, satellite)) == 1
     assert len(receipts(folder)) == 1
 
 
