@@ -22,11 +22,11 @@ from app.http.unkeepable import has_unkeepable
 from app.satellites.repository import within_reach
 from app.satellites.tables import Magnetometer, Satellite
 from app.sessions.chunk_format import decode, encode
+from app.sessions.restoration import restore
 from app.sessions.schemas import SessionQuery
 from app.sessions.sensor_reading import column_names
 from app.sessions.tables import Chunk, TelemetrySession
 from app.storage.database import new_id, utc_now
-from app.storage.database_store import is_whole, keep_after_all
 from app.storage.store import Packed, Store, columns_key, digest, raw_key
 from magcal_core.errors import TelemetryFormatError
 from magcal_core.samples import Samples
@@ -268,54 +268,11 @@ class SessionRepository:
         writing.events.append(event_of(self.caller, "session.create", row.id, satellite_id))
         return row, True
 
-    def is_whole(self, row: TelemetrySession, sha256: str, store: Store) -> bool:
-        """Return whether the bytes ``sha256`` of a session, and what was made of them, are there; they are read."""
-        if row.raw_removed_at is not None:
-            return False
-        chunk = self.session.scalar(select(Chunk).where(Chunk.session_id == row.id, Chunk.sha256 == sha256))
-        return chunk is None or self._has_bytes(row, chunk, store)
-
-    def _has_bytes(self, row: TelemetrySession, chunk: Chunk, store: Store) -> bool:
-        raw = raw_key(row.satellite_id, chunk.sha256)
-        columns = columns_key(row.id, chunk.sequence)
-        return is_whole(store, self.session, raw, chunk.sha256) and is_whole(
-            store, self.session, columns, chunk.columns_sha256
-        )
-
-    def restore(self, row: TelemetrySession, parsed: Parsed, store: Store) -> bool:
-        """Return whether bytes that the session had lost are now kept again: removed, gone or not those of its row.
-
-        A session whose bytes were removed counts as removed until every one of its chunks has come again.
-        """
-        sha256 = parsed.raw.sha256
-        if self.is_whole(row, sha256, store):
-            return False
-        self.session.refresh(row, with_for_update=True)
-        chunks = self.chunks(row.id)
-        chunk = next((one for one in chunks if one.sha256 == sha256), None)
-        if chunk is None or (row.raw_removed_at is None and self._has_bytes(row, chunk, store)):
-            return False
-        objects = {
-            raw_key(row.satellite_id, sha256): parsed.raw,
-            columns_key(row.id, chunk.sequence): parsed.columns,
-        }
-        for key, content in objects.items():
-            store.replace(self.session, key, content)
-        samples = len(parsed.telemetry.samples)
-        row.samples += samples - chunk.samples
-        chunk.samples, chunk.columns_sha256, chunk.reading = samples, parsed.columns.sha256, parsed.reading
-        keep_after_all(self.session, list(objects))
-        if row.raw_removed_at is not None and all(self._has_bytes(row, one, store) for one in chunks):
-            row.raw_removed_at = None
-        record_event(self.session, self.caller, "session.restore", row.id, row.satellite_id)
-        self.session.flush()
-        return True
-
     def append(self, row: TelemetrySession, parsed: Parsed, store: Store) -> None:
         """Add a chunk to an open session; one that is there already, with its bytes, changes nothing."""
         chunks = self.chunks(row.id)
         if any(chunk.sha256 == parsed.raw.sha256 for chunk in chunks):
-            self.restore(row, parsed, store)
+            restore(self.session, self.caller, row, parsed, store)
             return
         if row.state != "open":
             raise ConflictError("the session is closed")

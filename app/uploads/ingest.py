@@ -27,6 +27,7 @@ from app.satellites.repository import SatelliteRepository
 from app.satellites.schemas import Policy
 from app.satellites.tables import Magnetometer
 from app.sessions.repository import Parsed, SessionRepository, Writing
+from app.sessions.restoration import is_whole, restore
 from app.sessions.schemas import UploadQuery
 from app.sessions.sensor_reading import SensorReading, format_of
 from app.sessions.tables import TelemetrySession
@@ -115,7 +116,7 @@ class Ingest:
             sha256 = None if asked.query.open or asked.key is not None else asked.upload.sha256
             magnetometer, known = sessions.place_of(asked.satellite_id, asked.query.magnetometer, sha256)
             found = sessions.get(known) if known is not None else self._find(session, asked) if asked.key else None
-            is_kept = found is not None and sessions.is_whole(found, asked.upload.sha256, self._store)
+            is_kept = found is not None and is_whole(session, found, asked.upload.sha256, self._store)
         if found is not None:
             self._check_epoch(found, asked)
         if found is not None and is_kept and asked.key is None:
@@ -166,7 +167,7 @@ class Ingest:
             row, is_new = sessions.create(
                 asked.satellite_id, prepared.magnetometer.id, parsed, writing, is_open=asked.query.open
             )
-        is_restored = not is_new and parsed is not None and sessions.restore(row, parsed, self._store)
+        is_restored = not is_new and parsed is not None and restore(session, asked.caller, row, parsed, self._store)
         if asked.key is not None and made is None:
             remember(session, asked.caller, asked.key, asked.fingerprint, row.id)
         return Kept(row, is_new, is_restored=is_restored)
