@@ -30,7 +30,9 @@ from app.http.problem_handlers import install_handlers
 from app.http.receiving import Admission, sweep_incoming
 from app.jobs import endpoints as jobs
 from app.jobs.engines.open_engine import Engine, open_engine
-from app.monitoring import endpoints as monitoring
+from app.notifications import endpoints as notifications
+from app.notifications.event_stream import NewestEntry
+from app.notifications.notifier import Notifier
 from app.operations import health
 from app.orbits import endpoints as orbits
 from app.parameter_sets import endpoints as parameter_sets
@@ -41,15 +43,12 @@ from app.sessions import endpoints as sessions
 from app.settings import Settings
 from app.storage.database import Database
 from app.storage.open_store import open_store
-from app.uploads import endpoints as uploads
 from app.uploads.batching import Keeper
 from app.uploads.ingest import Ingest
 
 API: Final = "/api/v1"
 ROOMS: Final = (
     sessions,
-    uploads,
-    monitoring,
     satellites,
     orbits,
     jobs,
@@ -59,6 +58,7 @@ ROOMS: Final = (
     field,
     keys,
     displays,
+    notifications,
 )
 STOP_GRACE_S: Final = 20.0
 
@@ -94,6 +94,9 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
     app.state.running = Running()
     app.state.ingest = Ingest(database, store, app.state.queue, settings)
     app.state.keeper = Keeper(app.state.ingest, database)
+    app.state.newest_entry = NewestEntry(database)
+    app.state.is_stopping = lambda: False
+    app.state.notifier = Notifier(database, settings)
     app.include_router(health.router)
     api = APIRouter(prefix=API)
     for room in ROOMS:
@@ -121,10 +124,12 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         log.info("incoming_swept", files=left)
     if engine.workers is not None:
         engine.workers.start()
+    app.state.notifier.start()
     try:
         yield
     finally:
         if engine.workers is not None:
             await run_in_threadpool(engine.workers.stop, STOP_GRACE_S)
         await run_in_threadpool(app.state.keeper.close)
+        await run_in_threadpool(app.state.notifier.stop)
         app.state.database.close()

@@ -37,8 +37,9 @@ def prepare(settings: Settings) -> str | None:
 
 def server_of(settings: Settings) -> uvicorn.Server:
     """Return the HTTP server of a prepared database, not yet listening."""
+    application = create_app(settings, workers=0 if settings.is_postgres else settings.workers)
     config = uvicorn.Config(
-        create_app(settings, workers=0 if settings.is_postgres else settings.workers),
+        application,
         host=settings.host,
         port=settings.port,
         log_config=None,
@@ -49,7 +50,9 @@ def server_of(settings: Settings) -> uvicorn.Server:
         http=BoundedHttpProtocol,
         ws="none",
     )
-    return uvicorn.Server(config)
+    server = uvicorn.Server(config)
+    application.state.is_stopping = lambda: server.should_exit  # streams without an end of their own ask for it
+    return server
 
 
 def listen(host: str, port: int) -> socket.socket:

@@ -54,6 +54,19 @@ class Settings(BaseSettings):
     )
     login_hours: PositiveFloat = Field(12.0, description="Life of a dashboard login, h.")
 
+    event_days: PositiveFloat = Field(30.0, description="What happened, and deliveries, are kept so long, days.")
+    webhook_hosts: str = Field(
+        "", description="Hosts, addresses and networks that webhooks may go to, comma-separated; empty: none."
+    )
+    webhook_retry_hours: PositiveFloat = Field(24.0, description="Try a delivery again for so long, then park it, h.")
+    notify_urls: str = Field("", description="Apprise URLs of people to tell, separated by spaces; empty: none.")
+    notify_quiet: str | None = Field(
+        None, pattern=r"^([01]\d|2[0-3]):[0-5]\d-([01]\d|2[0-3]):[0-5]\d$",
+        description="Hours in which no message goes out, UTC, such as 22:00-06:00.",
+    )  # fmt: skip
+    notify_per_hour: PositiveInt = Field(12, description="Most messages of an hour; what is more comes as one digest.")
+    public_url: str | None = Field(None, description="Address of the dashboard for links in messages; unset: no links.")
+
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="Least level that is logged.")
     log_format: Literal["json", "console"] = Field("json", description="Form of the log on stderr.")
 

@@ -11,7 +11,9 @@ import app.access.audit_trail
 import app.access.idempotency
 import app.access.key_tables
 import app.jobs.tables
+import app.notifications.tables
 import app.orbits.tables
+import app.outbox.tables
 import app.parameter_sets.tables
 import app.satellites.tables
 import app.sessions.tables

@@ -11,6 +11,7 @@ from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.errors import ConflictError, NotFoundError, QuotaError
 from app.http.paging import fetch_page
+from app.jobs.endings import tell_ended
 from app.jobs.fair_order import take_turns
 from app.jobs.kinds.registry import JOB_KINDS
 from app.jobs.queue import Queue
@@ -101,6 +102,7 @@ class JobRepository:
             update(Job)
             .where(Job.id == job_id, Job.state == "queued")
             .values(state="cancelled", cancel_requested=True, finished_at=DatabaseNow())
+            .returning(Job.id)
             .execution_options(synchronize_session=False)
         )
         asked = (
@@ -112,7 +114,7 @@ class JobRepository:
         if job.kind == KIND:
             cancel_reprocessing(self.session, job_id)
         else:
-            self.session.execute(stopped)
+            tell_ended(self.session, self.session.scalars(stopped).all())
             self.session.execute(asked)
             if job.parent_id is not None:
                 settle(self.session, job.parent_id)

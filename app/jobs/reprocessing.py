@@ -14,6 +14,7 @@ from sqlalchemy.orm import Session
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.errors import ConflictError
+from app.jobs.endings import tell_ended
 from app.jobs.fair_order import take_turns
 from app.jobs.queue import Queue
 from app.jobs.schemas import ReprocessingBody
@@ -118,12 +119,14 @@ def settle(session: Session, parent_id: str) -> None:
     if session.scalar(select(exists(unended))):
         return
     result = {"succeeded": 0, "failed": 0, "cancelled": 0} | _counts(session, parent_id)
-    session.execute(
+    ended = session.scalars(
         update(Job)
         .where(Job.id == parent_id, Job.state == "running")
         .values(state="succeeded", progress=1.0, result=result, finished_at=DatabaseNow())
+        .returning(Job.id)
         .execution_options(synchronize_session=False)
-    )
+    ).all()
+    tell_ended(session, ended)
 
 
 def cancel_reprocessing(session: Session, parent_id: str) -> None:
@@ -132,15 +135,20 @@ def cancel_reprocessing(session: Session, parent_id: str) -> None:
         ("queued", {"state": "cancelled", "cancel_requested": True, "finished_at": DatabaseNow()}),
         ("running", {"cancel_requested": True}),
     ):
-        session.execute(
+        changed = session.scalars(
             update(Job)
             .where(Job.parent_id == parent_id, Job.state == state)
             .values(values)
+            .returning(Job.id)
             .execution_options(synchronize_session=False)
-        )
-    session.execute(
+        ).all()
+        if state == "queued":
+            tell_ended(session, changed)
+    ended = session.scalars(
         update(Job)
         .where(Job.id == parent_id, Job.state == "running")
         .values(state="cancelled", cancel_requested=True, finished_at=DatabaseNow())
+        .returning(Job.id)
         .execution_options(synchronize_session=False)
-    )
+    ).all()
+    tell_ended(session, ended)

@@ -11,12 +11,13 @@ from sqlalchemy.orm import Session
 
 from app.errors import ConflictError
 from app.jobs.tables import Job
+from app.outbox.tables import OutboxEntry
 from app.storage.database import Base, Database
 from app.storage.migration import require_head
 
 ROOMS: Final = (
-    "app.access.audit_trail", "app.access.idempotency", "app.access.key_tables", "app.jobs.tables", "app.orbits.tables",
-    "app.parameter_sets.tables", "app.satellites.tables", "app.sessions.tables", "app.storage.database_store",
+    "app.access.idempotency", "app.jobs.tables", "app.access.key_tables", "app.notifications.tables", "app.orbits.tables",
+    "app.outbox.tables", "app.parameter_sets.tables", "app.satellites.tables", "app.sessions.tables", "app.storage.database_store",
 )  # fmt: skip
 """Modules whose tables are the database."""
 ROWS_AT_ONCE: Final = 200
@@ -50,11 +51,19 @@ def copy(source: Database, target: Database, *, progress: Callable[[str, int], N
                 counts[table.name] += len(rows)
                 if progress is not None:
                     progress(table.name, counts[table.name])
+        _count_on(new)
         for name, rows_copied in counts.items():
             found = new.scalar(select(func.count()).select_from(Base.metadata.tables[name]))
             if found != rows_copied:
                 raise ConflictError(f"table {name}: {rows_copied} rows were sent, {found} arrived")
     return counts
+
+
+def _count_on(session: Session) -> None:
+    """Let the numbers that PostgreSQL gives to entries of the log go on behind those that were copied."""
+    if session.get_bind().dialect.name == "postgresql":
+        following = select(func.coalesce(func.max(OutboxEntry.id), 0) + 1).scalar_subquery()
+        session.execute(select(func.setval(func.pg_get_serial_sequence("outbox", "id"), following, False)))
 
 
 def _parts(session: Session, table: Table) -> Iterator[Sequence[RowMapping]]:

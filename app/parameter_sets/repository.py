@@ -13,6 +13,8 @@ from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.errors import ConflictError, NotFoundError, RefusedVerdictError
 from app.http.paging import fetch_page
+from app.outbox.events import Event, parameter_set_activated, parameter_set_created
+from app.outbox.log import append
 from app.parameter_sets.schemas import ParameterSetQuery, ParameterSetRead
 from app.parameter_sets.tables import Activation, ParameterSet, ParameterSetSession
 from app.satellites.repository import within_reach
@@ -40,6 +42,7 @@ class ParameterSetRepository:
         self.session.add(row)
         self.session.flush()
         self.session.add_all(ParameterSetSession(parameter_set_id=row.id, session_id=one) for one in session_ids)
+        append(self.session, [_created(row)])
 
     def get(self, parameter_set_id: str) -> ParameterSet:
         """Return the parameter set ``parameter_set_id``."""
@@ -155,6 +158,31 @@ class ParameterSetRepository:
                 )
             )
             self.session.flush()
+        append(self.session, [_activated(current, row, self.caller)])
+
+
+def _created(row: ParameterSet) -> Event:
+    return parameter_set_created(
+        parameter_set_id=row.id,
+        satellite_id=row.satellite_id,
+        magnetometer_id=row.magnetometer_id,
+        job_id=row.job_id,
+        grade=row.grade,
+        method=row.method,
+    )
+
+
+def _activated(before: Activation | None, after: ParameterSet | None, caller: Caller) -> Event:
+    place = after or before
+    if place is None:
+        raise ConflictError("neither a parameter set that was in force nor one that is")
+    return parameter_set_activated(
+        parameter_set_id=None if after is None else after.id,
+        previous_id=None if before is None else before.parameter_set_id,
+        satellite_id=place.satellite_id,
+        magnetometer_id=place.magnetometer_id,
+        by=caller.key_id,
+    )
 
 
 def matching(query: ParameterSetQuery, caller: Caller) -> list[ColumnElement[bool]]:

@@ -19,6 +19,8 @@ from app.jobs.queue import Queue
 from app.jobs.repository import JobRepository
 from app.jobs.schemas import CalibrationBody
 from app.metrics import UPLOAD_BYTES
+from app.outbox.events import Event, session_received
+from app.outbox.log import append
 from app.satellites.repository import SatelliteRepository
 from app.satellites.schemas import Policy
 from app.satellites.tables import Magnetometer
@@ -109,6 +111,7 @@ class Ingest:
         writing = Writing()
         rows = [self._create(session, one, writing) for one in uploads]
         writing.write(session, self._store)
+        append(session, [_received(row) for row, is_new in rows if is_new and row.state == "closed"])
         return [
             Kept(row, is_new, self._follow_policy(session, one.asked.caller, one.magnetometer, row) if is_new else None)
             for one, (row, is_new) in zip(uploads, rows, strict=True)
@@ -161,6 +164,7 @@ class Ingest:
             session.flush()
             satellites = SatelliteRepository(session, caller)
             magnetometer = satellites.magnetometer(row.satellite_id, row.magnetometer_id)
+            append(session, [_received(row)] if is_open else [])
             job_id = self._follow_policy(session, caller, magnetometer, row) if is_open else None
         if job_id is not None:
             self._queue.announce()
@@ -195,3 +199,14 @@ class Ingest:
         wanted = {"kind": "calibration", "session_ids": [row.id], "priority": policy.priority, **policy.options}
         body = CalibrationBody.model_validate(wanted)
         return JobRepository(session, caller).submit(body, self._queue).id
+
+
+def _received(row: TelemetrySession) -> Event:
+    return session_received(
+        session_id=row.id,
+        satellite_id=row.satellite_id,
+        magnetometer_id=row.magnetometer_id,
+        samples=row.samples,
+        data_from=row.data_from,
+        data_until=row.data_until,
+    )

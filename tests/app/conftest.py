@@ -79,7 +79,14 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """One service for all tests that leave it usable."""
     folder: Path = tmp_path_factory.mktemp("service")
     yield from run_service(
-        Settings(data_dir=folder, workers=1, max_upload_mb=5, min_free_mb=0, auth_failures_per_minute=1_000_000)
+        Settings(
+            data_dir=folder,
+            workers=1,
+            max_upload_mb=5,
+            min_free_mb=0,
+            auth_failures_per_minute=1_000_000,
+            webhook_hosts="127.0.0.1",
+        )
     )
 
 

@@ -18,6 +18,7 @@ from sqlalchemy import ColumnElement, Select, Update, and_, bindparam, case, or_
 from sqlalchemy.orm import Session
 
 from app.errors import ServiceError
+from app.jobs.endings import tell_ended
 from app.jobs.kinds.contract import Claim
 from app.jobs.reprocessing import settle
 from app.jobs.tables import Job
@@ -197,6 +198,7 @@ def finish(
     ended = session.execute(FINISH, held | {"to_state": state, "why": error, "found": result}).first()
     if ended is None:
         raise LostClaimError(f"attempt {claim.attempt} no longer holds job {claim.job_id}")
+    tell_ended(session, [claim.job_id])
     if ended.parent_id is not None:
         settle(session, ended.parent_id)
 
@@ -216,11 +218,13 @@ def _holds(claim: Claim) -> ColumnElement[bool]:
 
 
 def _end(session: Session, which: ColumnElement[bool], state: str, error: Problem | None) -> int:
-    ended = _ending(which).values(state=state, error=error).returning(JOBS.c.parent_id)
-    parents = session.scalars(ended).all()
-    for parent_id in set(parents) - {None}:
+    ended = session.execute(
+        _ending(which).values(state=state, error=error).returning(JOBS.c.id, JOBS.c.parent_id)
+    ).all()
+    tell_ended(session, [job_id for job_id, _ in ended])
+    for parent_id in {parent_id for _, parent_id in ended} - {None}:
         settle(session, str(parent_id))
-    return len(parents)
+    return len(ended)
 
 
 def _ending(which: ColumnElement[bool]) -> Update:

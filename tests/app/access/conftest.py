@@ -74,6 +74,7 @@ class World:
             "POST /reprocessings": {"json": {"satellites": [self.satellite]}},
             "POST /field": {"json": {"time": ["2026-01-01T00:00:00Z"], "position_km": [[7000.0, 0.0, 0.0]]}},
             "POST /keys": {"json": {"scopes": ["read"]}},
+            "POST /webhooks": {"json": {"url": "http://127.0.0.1:9/", "events": ["attention.raised"]}},
             "GET /sessions/{session_id}/residual": {"params": {"parameter_set": ids["parameter_set_id"]}},
             "GET /sessions/{session_id}/comparison": {"params": {"other": ids["session_id"]}},
             "GET /figures/compare": {"params": {"first": ids["parameter_set_id"], "second": ids["parameter_set_id"]}},
@@ -129,7 +130,10 @@ def build_world(admin: httpx2.Client, name: str) -> World:
     job = ended(admin, admin.post("/jobs", json=wanted).raise_for_status().json()["id"])
     assert job["state"] == "succeeded", job["error"]
     key = admin.post("/keys", json={"scopes": ["read"], "satellites": [name]}).raise_for_status().json()
+    hook = admin.post("/webhooks", json={"url": "http://127.0.0.1:9/", "events": ["attention.raised"]})
     ids = {
+        "webhook_id": hook.raise_for_status().json()["id"],
+        "delivery_id": ABSENT,
         "satellite_id": name,
         "magnetometer_id": "mgm",
         "orbit_id": orbits.json()["items"][0]["id"],

@@ -57,6 +57,12 @@ SCOPES = {
     "GET /keys": "admin",
     "POST /keys/{key_id}/revoke": "admin",
     "GET /audit": "admin",
+    "GET /events": "read",
+    "POST /webhooks": "admin",
+    "GET /webhooks": "admin",
+    "DELETE /webhooks/{webhook_id}": "admin",
+    "GET /webhooks/{webhook_id}/deliveries": "admin",
+    "POST /webhooks/{webhook_id}/deliveries/{delivery_id}/replay": "admin",
 }
 """Written by hand beside the service: a call that is not here, or has another scope, fails the test."""
 

@@ -13,7 +13,9 @@ from sqlalchemy import JSON, MetaData, delete, insert, inspect, select, text
 import app.access.idempotency
 import app.access.key_tables
 import app.jobs.tables
+import app.notifications.tables
 import app.orbits.tables
+import app.outbox.tables
 import app.parameter_sets.tables
 import app.sessions.tables
 import app.storage.database_store  # noqa: F401
@@ -149,6 +151,8 @@ def test_real_rows_survive_the_way_down_to_any_revision_and_up_again(database, s
     made_anew = {"rank"} | ({"queue_id"} if revision < "0002" else set())  # procrastinate's tables come back empty
     assert sorted(one["rank"] for one in after["job"] if one["state"] == "queued") in ([0, 1], [1, 2])
     for name, rows in after.items():
+        if name not in there:
+            continue  # a table of a later revision comes back empty
         for old, new in zip(before[name], rows, strict=True):
             assert {k: v for k, v in new.items() if k not in made_anew} == {
                 k: v for k, v in old.items() if k not in made_anew
