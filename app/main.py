@@ -11,6 +11,7 @@ from fastapi import APIRouter, FastAPI
 from fastapi_offline import FastAPIOffline
 from starlette.concurrency import run_in_threadpool
 
+from app.aboard import endpoints as aboard
 from app.access import key_endpoints as keys
 from app.access.authentication import FailureLimiter, RecentKeys, SteadyClock
 from app.access.idempotency import Running
@@ -55,6 +56,7 @@ ROOMS: Final = (
     parameter_sets,
     pointing,
     refits,
+    aboard,
     field,
     keys,
     displays,

@@ -7,6 +7,7 @@ from typing import Literal
 from alembic import context
 from alembic.autogenerate.api import AutogenContext
 
+import app.aboard.tables
 import app.access.audit_trail
 import app.access.idempotency
 import app.access.key_tables

@@ -15,29 +15,39 @@ import numpy as np
 import yaml
 
 from app.http.schemas import utc_text
+from app.parameter_sets.flight_tables import Document, fprime_parameters, gomspace_table
 from app.parameter_sets.schemas import ParameterSetRead
 from app.parameter_sets.worked_example import COLUMN, formula, rotation_of_symmetric, worked
 from magcal_core.sensor.conventions import convert
 from magcal_core.sensor.model import SensorModel
 
-Document = Mapping[str, object]
+ON_BOARD: Final = "on-board"
+FLIGHT_TABLES: Final = frozenset({"gomspace", "fprime"})
 
 
 def exported(record: ParameterSetRead, convention: str, form: str) -> tuple[str, str]:
     """Return the media type and the text of a parameter set in ``convention`` and in the format ``form``.
+
+    The tables of flight software have one convention, ``on-board``, whatever is asked for.
 
     Raises
     ------
     OptionError
         The convention is unknown.
     """
+    media_type, write = EXPORTERS[form]
+    return media_type, write(document_of(record, ON_BOARD if form in FLIGHT_TABLES else convention))
+
+
+def document_of(record: ParameterSetRead, convention: str) -> Document:
+    """Return what an export in ``convention`` holds, before it is written."""
     exact = record.parameters.model_dump()
     parameters = convert(exact, "exact", convention)
     if convention == "symmetric":
         parameters["rotation"] = rotation_of_symmetric(record.correction_matrix, parameters["matrix"])
     sensor = SensorModel(*(np.array(exact[name]) for name in ("bias_nt", "scale", "nonorthogonality_deg")))
     base = {name: exact[name] for name in ("time_base_utc",) if name in exact}
-    document = {
+    return {
         "id": record.id,
         "satellite": record.satellite,
         "magnetometer": record.magnetometer,
@@ -57,8 +67,6 @@ def exported(record: ParameterSetRead, convention: str, form: str) -> tuple[str,
             **asdict(worked(sensor, exact["regressors"])),
         },
     }
-    media_type, write = EXPORTERS[form]
-    return media_type, write(document)
 
 
 def _json(document: Document) -> str:
@@ -143,5 +151,7 @@ EXPORTERS: Final[Mapping[str, tuple[str, Callable[[Document], str]]]] = {
     "csv": ("text/csv; charset=utf-8", _csv),
     "yaml": ("application/yaml", _yaml),
     "c": ("text/x-c; charset=utf-8", _c_header),
+    "gomspace": ("text/plain; charset=utf-8", gomspace_table),
+    "fprime": ("application/json", fprime_parameters),
 }
 """Format -> media type and writer."""

@@ -91,7 +91,7 @@ class ExportQuery(Filter):
     """In which convention and format a parameter set is written for flight software."""
 
     convention: str = Field("exact", max_length=32)
-    format: Literal["json", "csv", "yaml", "c"] = "json"
+    format: Literal["json", "csv", "yaml", "c", "gomspace", "fprime"] = "json"
 
 
 class ApplyQuery(TableQuery):

@@ -74,6 +74,7 @@ class World:
             "POST /reprocessings": {"json": {"satellites": [self.satellite]}},
             "POST /field": {"json": {"time": ["2026-01-01T00:00:00Z"], "position_km": [[7000.0, 0.0, 0.0]]}},
             "POST /keys": {"json": {"scopes": ["read"]}},
+            "POST /parameter-sets/{parameter_set_id}/aboard": {"json": {"state": "uploaded"}},
             "POST /webhooks": {"json": {"url": "http://127.0.0.1:9/", "events": ["attention.raised"]}},
             "GET /sessions/{session_id}/residual": {"params": {"parameter_set": ids["parameter_set_id"]}},
             "GET /sessions/{session_id}/comparison": {"params": {"other": ids["session_id"]}},

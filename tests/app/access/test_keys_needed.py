@@ -50,6 +50,8 @@ SCOPES = {
     "POST /parameter-sets/{parameter_set_id}/activate": "operate",
     "POST /parameter-sets/{parameter_set_id}/rollback": "operate",
     "POST /parameter-sets/{parameter_set_id}/apply": "read",
+    "POST /parameter-sets/{parameter_set_id}/aboard": "operate",
+    "GET /parameter-sets/{parameter_set_id}/aboard": "read",
     "GET /figures/compare": "read",
     "GET /overview": "read",
     "POST /field": "read",

@@ -10,6 +10,7 @@ from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from sqlalchemy import JSON, MetaData, delete, insert, inspect, select, text
 
+import app.aboard.tables
 import app.access.idempotency
 import app.access.key_tables
 import app.jobs.tables
