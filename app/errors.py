@@ -154,3 +154,9 @@ class RefusedVerdictError(ServiceError):
     """The parameter set's verdict is ``refuse``."""
 
     code = "verdict_refuse"
+
+
+class ReasonRequiredError(ServiceError):
+    """A parameter set whose verdict is ``refuse`` is put in force with a reason alone."""
+
+    code = "reason_required"

@@ -16,6 +16,9 @@ from app.access import key_endpoints as keys
 from app.access.authentication import FailureLimiter, RecentKeys, SteadyClock
 from app.access.idempotency import Running
 from app.access.oidc import open_issuer
+from app.attention import endpoints as attention
+from app.attention.entries import Fleet
+from app.attention.watcher import Watcher
 from app.dashboard import endpoints as displays
 from app.dashboard import pages
 from app.field import endpoints as field
@@ -31,6 +34,8 @@ from app.http.problem_handlers import install_handlers
 from app.http.receiving import Admission, sweep_incoming
 from app.jobs import endpoints as jobs
 from app.jobs.engines.open_engine import Engine, open_engine
+from app.monitoring import endpoints as monitoring
+from app.notes import endpoints as notes
 from app.notifications import endpoints as notifications
 from app.notifications.event_stream import NewestEntry
 from app.notifications.notifier import Notifier
@@ -44,12 +49,15 @@ from app.sessions import endpoints as sessions
 from app.settings import Settings
 from app.storage.database import Database
 from app.storage.open_store import open_store
+from app.uploads import endpoints as uploads
 from app.uploads.batching import Keeper
 from app.uploads.ingest import Ingest
 
 API: Final = "/api/v1"
 ROOMS: Final = (
     sessions,
+    uploads,
+    monitoring,
     satellites,
     orbits,
     jobs,
@@ -60,6 +68,8 @@ ROOMS: Final = (
     field,
     keys,
     displays,
+    attention,
+    notes,
     notifications,
 )
 STOP_GRACE_S: Final = 20.0
@@ -99,6 +109,8 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
     app.state.newest_entry = NewestEntry(database)
     app.state.is_stopping = lambda: False
     app.state.notifier = Notifier(database, settings)
+    app.state.fleet = Fleet()
+    app.state.watcher = Watcher(database, settings, app.state.queue)
     app.include_router(health.router)
     api = APIRouter(prefix=API)
     for room in ROOMS:
@@ -127,9 +139,11 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     if engine.workers is not None:
         engine.workers.start()
     app.state.notifier.start()
+    app.state.watcher.start()
     try:
         yield
     finally:
+        await run_in_threadpool(app.state.watcher.stop)
         if engine.workers is not None:
             await run_in_threadpool(engine.workers.stop, STOP_GRACE_S)
         await run_in_threadpool(app.state.keeper.close)

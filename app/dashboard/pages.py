@@ -71,13 +71,14 @@ def _page(request: Request, template: str, title: str, ask: page_data.Bringer | 
         modules=assets.modules(script),
         scopes=sorted(caller.scopes),
         answers={path: script_json(text) for path, text in answers.items()},
+        counts=page_data.counts_of(request.app.state.fleet, caller, request.app.state.database),
     )
 
 
 @router.get("/")
 def overview_page(request: Request) -> HTMLResponse:
     """Show every satellite with its state at a glance."""
-    return _page(request, "overview.html", "Satellites", page_data.of_overview)
+    return _page(request, "overview.html", "Needs attention", page_data.of_overview(request.app.state.fleet))
 
 
 @router.get("/satellites/{satellite_id}")

@@ -12,7 +12,7 @@ from app.access.caller import Caller
 from app.http.dependencies import Blobs, Config, Db
 from app.http.entity_tags import UNCHANGED, is_known, tagged_json, unchanged
 from app.http.receiving import Upload, receive
-from app.http.schemas import Page
+from app.http.schemas import Name, Page
 from app.http.strict_json import StrictJsonRoute
 from app.http.tables import TABLES, TELEMETRY_BODY, table_response, wanted_format, write_table
 from app.parameter_sets.correction import Correction
@@ -103,12 +103,13 @@ def activate_parameter_set(
     db: Db,
     body: ActivateBody | None = None,
     force: Annotated[bool, Query(description="Also where the verdict is `refuse`.")] = False,
+    reason: Annotated[Name | None, Query(description="Why; required where the verdict is `refuse`.")] = None,
 ) -> ParameterSetRead:
     """Put a parameter set in force for its magnetometer; the one before is retired."""
     is_forced = force or (body is not None and body.force)
     with db.write() as session:
         sets = ParameterSetRepository(session, caller)
-        return sets.read([sets.activate(parameter_set_id, force=is_forced)])[0]
+        return sets.read([sets.activate(parameter_set_id, force=is_forced, reason=reason or (None if body is None else body.reason))])[0]
 
 
 @router.post("/{parameter_set_id}/rollback")

@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from typing import Final
 
 import numpy as np
-from sqlalchemy import and_, bindparam, func, select
+from sqlalchemy import Select, and_, bindparam, func, select
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
 from app.access.audit_trail import NEW_EVENT, event_of, record_event
 from app.access.caller import Caller
 from app.errors import ConflictError, ExpiredError, NotFoundError, QuotaError
-from app.http.paging import fetch_page
+from app.http.paging import counted, fetch_page, has_part
 from app.http.receiving import Upload
 from app.satellites.repository import within_reach
 from app.satellites.tables import Magnetometer, Satellite
 from app.sessions.chunk_format import decode, encode
 from app.sessions.schemas import SessionQuery
 from app.sessions.sensor_reading import column_names
-from app.sessions.tables import Chunk, TelemetrySession
+from app.sessions.tables import Chunk, SessionMonitoring, TelemetrySession
 from app.storage.database import new_id, utc_now
 from app.storage.store import Packed, Store, columns_key, digest, raw_key
 from magcal_core.samples import Samples
@@ -170,7 +170,15 @@ class SessionRepository:
         return row
 
     def page(self, query: SessionQuery) -> tuple[list[TelemetrySession], str | None]:
-        """Return a part of the sessions, the newest first."""
+        """Return a part of the sessions, the newest first unless asked otherwise."""
+        wanted = self._wanted(query)
+        return fetch_page(self.session, wanted, (TelemetrySession.id,), query, is_up=query.sort == "arrived")
+
+    def total(self, query: SessionQuery) -> int:
+        """Return how many sessions ``query`` asks for in all parts."""
+        return counted(self.session, self._wanted(query))
+
+    def _wanted(self, query: SessionQuery) -> Select[tuple[TelemetrySession]]:
         statement = select(TelemetrySession).where(within_reach(TelemetrySession.satellite_id, self.caller))
         equal = {
             TelemetrySession.satellite_id: query.satellite,
@@ -185,7 +193,29 @@ class SessionRepository:
             statement = statement.where(TelemetrySession.data_until >= query.since)
         if query.until is not None:
             statement = statement.where(TelemetrySession.data_from <= query.until)
-        return fetch_page(self.session, statement, (TelemetrySession.id,), query)
+        if query.agreement is not None:
+            judged = select(SessionMonitoring.session_id).where(SessionMonitoring.grade == query.agreement)
+            statement = statement.where(TelemetrySession.id.in_(judged))
+        if query.q is not None:
+            own = TelemetrySession
+            statement = statement.where(has_part(query.q, own.id, own.satellite_id, own.magnetometer_id))
+        return statement
+
+    def judgements(self, session_ids: Sequence[str]) -> dict[str, SessionMonitoring]:
+        """Return what each of ``session_ids`` that was judged says of the set that was in force then."""
+        rows = self.session.scalars(select(SessionMonitoring).where(SessionMonitoring.session_id.in_(session_ids)))
+        return {row.session_id: row for row in rows}
+
+    def judge(self, session_id: str, parameter_set_id: str, record: Mapping[str, object]) -> None:
+        """Keep what a session says of the parameter set in force in place of what it said before."""
+        row = self.session.get(SessionMonitoring, session_id)
+        if row is None:
+            row = SessionMonitoring(session_id=session_id)
+            self.session.add(row)
+        row.parameter_set_id, row.grade, row.judged_at = parameter_set_id, str(record["grade"]), utc_now()
+        row.record = dict(record)
+        row.residual_rms_nt = _number(record.get("residual_rms_nt"))
+        row.residual_ratio = _number(record.get("residual_ratio"))
 
     def place_of(self, satellite_id: str, magnetometer_id: str, sha256: str | None) -> tuple[Magnetometer, str | None]:
         """Return the magnetometer of an upload, and the id of the session that its bytes are already, if there is one.
@@ -324,6 +354,10 @@ def identity(chunks: Sequence[Chunk]) -> str:
     if len(chunks) == 1:
         return chunks[0].sha256
     return hashlib.sha256("\n".join(chunk.sha256 for chunk in chunks).encode()).hexdigest()
+
+
+def _number(value: object) -> float | None:
+    return float(value) if isinstance(value, int | float) else None
 
 
 def _instant(t_utc: np.datetime64) -> datetime:

@@ -1,6 +1,7 @@
 // One parameter set: the verdict and its reasons first, then numbers, then figures; activate and roll back.
 import { api, confirm, facts, fixed, form, field, grade, h, listed, may, notice, nt, option, section, short, show, start, SYMBOLS, tiles, time, title } from "./magcal.js";
 import { differenceTable, parameterTable, statisticsTable } from "./parameters.js";
+import { notes } from "./notes.js";
 import { plot, whenNear } from "./plot.js";
 import { whatIf } from "./refit.js";
 import { table } from "./table.js";
@@ -15,13 +16,16 @@ async function activeOf(record) {
 
 async function activate(record) {
   const active = await activeOf(record);
+  const isRefused = record.verdict.grade === "refuse";
+  const reason = h("input", { id: "why", required: true, maxlength: 200 });
   const content = [
     h("p", {}, `${record.satellite}, ${record.magnetometer}: this set (`, grade(record.verdict.grade), ") comes into force for the magnetometer at once. ",
       active ? `The one in force, ${short(active.id)}, is retired; a rollback brings it back.` : "None is in force now."),
-    record.verdict.grade === "refuse" ? h("p", { class: "notice refuse" }, "Its verdict is refuse. Activate it only if you know better.") : null,
+    isRefused ? h("p", { class: "notice refuse" }, "Its verdict is refuse. The reason that you give here is kept in the audit trail.") : null,
+    isRefused ? h("div", { class: "stack" }, h("label", { for: "why" }, "Why it comes into force all the same"), reason) : null,
     active ? differenceTable(active, record) : parameterTable(record)];
-  if (!await confirm("Activate this parameter set?", content, "Activate")) return;
-  await change(record, "activate", record.verdict.grade === "refuse" ? { force: true } : {});
+  if (!await confirm("Activate this parameter set?", content, isRefused ? "Put the refused set in force" : "Activate", { isGrey: isRefused })) return;
+  await change(record, "activate", isRefused ? { force: true, reason: reason.value } : {});
 }
 
 async function rollback(record) {
@@ -46,7 +50,9 @@ async function change(record, verb, json = undefined) {
 
 function buttons(record) {
   const made = [];
-  if (may("operate") && record.status !== "active") made.push(h("button", { class: "primary", onclick: () => activate(record) }, "Activate …"));
+  if (may("operate") && record.status !== "active") made.push(record.verdict.grade === "refuse"
+    ? h("button", { class: "grey", onclick: () => activate(record) }, "Activate although refused …")
+    : h("button", { class: "primary", onclick: () => activate(record) }, "Activate …"));
   if (may("operate") && record.status === "active") made.push(h("button", { onclick: () => rollback(record) }, "Roll back …"));
   made.push(h("a", { class: "button", href: `/api/v1/parameter-sets/${record.id}/report` }, "Report"));
   return h("div", { class: "actions" }, made);
@@ -175,6 +181,7 @@ async function draw() {
     candidates(record),
     section("Compare", others),
     section("Export for flight software", exporter(record)),
+    notes(`/parameter-sets/${id}`),
     section("Provenance", provenance(record)));
   whenNear(others, async () => {
     const rows = await listed(`/satellites/${record.satellite}/history?magnetometer=${encodeURIComponent(record.magnetometer)}`, 1000);

@@ -11,6 +11,8 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import JSON, MetaData, delete, insert, inspect, select, text
 
 import app.aboard.tables
+import app.attention.tables
+import app.notes.tables
 import app.access.idempotency
 import app.access.key_tables
 import app.jobs.tables
