@@ -24,6 +24,7 @@ from app.dashboard import pages
 from app.field import endpoints as field
 from app.http.allowed_methods import Methods
 from app.http.entity_tags import Revalidation
+from app.http.middleware.cors import allow_origins
 from app.http.middleware.head_requests import HeadRequests
 from app.http.middleware.request_limits import RequestLimits
 from app.http.middleware.request_log import RequestLog
@@ -110,6 +111,7 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
     app.state.is_stopping = lambda: False
     app.state.notifier = Notifier(database, settings)
     app.state.fleet = Fleet()
+    app.state.unknown_page = pages.unknown_page
     app.state.watcher = Watcher(database, settings, app.state.queue)
     app.include_router(health.router)
     api = APIRouter(prefix=API)
@@ -126,6 +128,7 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
     app.add_middleware(SecurityHeaders)
     app.add_middleware(Revalidation)
     app.add_middleware(RequestLog)
+    allow_origins(app, settings)
     app.add_middleware(UploadGate, most=settings.max_uploads_at_once, most_per_key=settings.max_uploads_per_key)
     return app
 

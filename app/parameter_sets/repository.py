@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.errors import ConflictError, NotFoundError, ReasonRequiredError, RefusedVerdictError
-from app.http.paging import fetch_page
+from app.http.paging import fetch_page, has_part
 from app.outbox.events import Event, parameter_set_activated, parameter_set_created
 from app.outbox.log import append
 from app.parameter_sets.schemas import ParameterSetQuery, ParameterSetRead
@@ -212,6 +212,8 @@ def matching(query: ParameterSetQuery, caller: Caller) -> list[ColumnElement[boo
         found.append(ParameterSet.data_until >= query.since)
     if query.until is not None:
         found.append(ParameterSet.data_from <= query.until)
+    if query.q is not None:
+        found.append(has_part(query.q, ParameterSet.id, ParameterSet.satellite_id, ParameterSet.magnetometer_id))
     if query.at is not None:
         found.append(ParameterSet.id.in_(_in_force(query.at, query, caller)))
     return found

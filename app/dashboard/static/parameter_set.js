@@ -1,6 +1,7 @@
 // One parameter set: the verdict and its reasons first, then numbers, then figures; activate and roll back.
 import { api, confirm, facts, fixed, form, field, grade, h, listed, may, notice, nt, option, section, short, show, start, SYMBOLS, tiles, time, title } from "./magcal.js";
 import { differenceTable, parameterTable, statisticsTable } from "./parameters.js";
+import { follow } from "./job.js";
 import { notes } from "./notes.js";
 import { plot, whenNear } from "./plot.js";
 import { whatIf } from "./refit.js";
@@ -58,10 +59,39 @@ function buttons(record) {
   return h("div", { class: "actions" }, made);
 }
 
+// Each reason as a sentence with its figure, which limit it passed, and the button that may mend it; codes small behind.
+function reasonsOf(record, reasons) {
+  const place = h("div", {}, h("ul", {}, reasons.map((reason) => h("li", {}, reason))));
+  api(`/parameter-sets/${record.id}/reasons`).then(({ items }) => place.replaceChildren(...items.map((one) => h("div", { class: "reason" },
+    h("strong", {}, one.sentence), ` ${one.figure} `, one.grade && one.grade !== "accept" ? h("span", { class: `badge ${one.grade}` }, one.grade === "refuse" ? "limit of refuse" : "limit of weak") : null, " ",
+    h("a", { href: one.page }, h("code", {}, one.code)), cure(one.cure), h("small", {}, `What to do: ${one.advice}.`)))), () => {});
+  return place;
+}
+
+function cure(offered) {
+  if (!offered) return null;
+  if (offered.method === "GET") return h("span", { class: "actions" }, h("a", { class: "button", href: offered.path }, offered.label));
+  if (!may("operate")) return null;
+  const place = h("span", { class: "actions" });
+  place.append(h("button", { type: "button", onclick: async (event) => {
+    event.target.disabled = true;
+    try {
+      const job = await api(offered.path.replace("/api/v1", ""), { method: "POST", json: offered.body });
+      place.replaceChildren(follow(job, (ended) => {
+        if (ended.state === "succeeded") location.href = `/parameter-sets/${ended.result.parameter_set_id}`;
+      }));
+    } catch (problem) {
+      event.target.disabled = false;
+      notice(problem.message, "refuse");
+    }
+  } }, offered.label));
+  return place;
+}
+
 function verdict(record) {
   const { grade: name, reasons } = record.verdict;
   return h("section", { class: `verdict ${name}`, "aria-label": "Verdict" }, h("div", { class: "word" }, `${SYMBOLS[name]} ${name}`),
-    reasons.length ? h("ul", {}, reasons.map((reason) => h("li", {}, reason))) : null,
+    reasonsOf(record, reasons),
     record.advice?.length ? [h("h2", {}, "Advice"), h("ul", {}, record.advice.map((one) => h("li", {}, one)))] : null,
     record.warnings.length ? [h("h2", {}, "Warnings"), h("ul", {}, record.warnings.map((warning) => h("li", {}, warning)))] : null);
 }

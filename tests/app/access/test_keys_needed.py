@@ -42,6 +42,7 @@ SCOPES = {
     "GET /parameter-sets": "read",
     "GET /parameter-sets/{parameter_set_id}": "read",
     "GET /parameter-sets/{parameter_set_id}/residuals": "read",
+    "GET /parameter-sets/{parameter_set_id}/reasons": "read",
     "GET /parameter-sets/{parameter_set_id}/export": "read",
     "GET /parameter-sets/{parameter_set_id}/report": "read",
     "GET /parameter-sets/{parameter_set_id}/pointing": "read",

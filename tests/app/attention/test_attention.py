@@ -13,7 +13,7 @@ from app.attention.causes.registry import CAUSES
 from magcal_core.simulation.dekart_mission import SESSIONS, simulated, tle_text
 from magcal_core.telemetry import write_samples
 
-PATIENCE_S = 90.0
+PATIENCE_S = 300.0
 PLAIN = {"content-type": "text/plain"}
 
 
