@@ -8,12 +8,12 @@ from alembic import context
 from alembic.autogenerate.api import AutogenContext
 
 import app.aboard.tables
-import app.attention.tables
-import app.notes.tables
 import app.access.audit_trail
 import app.access.idempotency
 import app.access.key_tables
+import app.attention.tables
 import app.jobs.tables
+import app.notes.tables
 import app.notifications.tables
 import app.orbits.tables
 import app.outbox.tables

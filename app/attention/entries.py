@@ -92,4 +92,3 @@ class Fleet:
                 made = [standing(one, now) for one in situations(session)]
                 known = self._snapshot = _Snapshot(change, time.monotonic(), made)
             return known.standings
-

@@ -50,9 +50,7 @@ def _searched(one: Standing) -> str:
 
 def _fits(row: FleetRow, query: FleetQuery, without: str | None = None) -> bool:
     asked = {"state": query.state, "verdict": query.verdict, "agreement": query.agreement}
-    return all(
-        name == without or wanted is None or FACETS[name](row) == wanted for name, wanted in asked.items()
-    )
+    return all(name == without or wanted is None or FACETS[name](row) == wanted for name, wanted in asked.items())
 
 
 def _ordered(rows: Sequence[FleetRow], sort: str) -> list[FleetRow]:

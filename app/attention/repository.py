@@ -52,7 +52,9 @@ class AttentionRepository:
         standings, known = self.standings()
         every = [entry for one in standings for entry in one.entries]
         seen = {entry.id for entry in every if holds(known, entry)}
-        fitting = sorted((one for one in every if _fits(one, query, one.id in seen)), key=lambda one: (one.id in seen, one.rank))
+        fitting = sorted(
+            (one for one in every if _fits(one, query, one.id in seen)), key=lambda one: (one.id in seen, one.rank)
+        )
         begin = _begin(fitting, query.cursor)
         shown = fitting[begin : begin + query.limit]
         is_more = begin + query.limit < len(fitting)
@@ -75,9 +77,7 @@ class AttentionRepository:
         row.about, row.severity = entry.finding.about[:200], str(entry.finding.severity)
         row.note, row.until, row.at, row.by = body.note, body.until, utc_now(), self.caller.key_id
         subject = f"{entry.satellite_id}/{entry.magnetometer_id} {entry.code}"
-        record_event(
-            self.session, self.caller, "attention.acknowledge", subject, entry.satellite_id, reason=body.note
-        )
+        record_event(self.session, self.caller, "attention.acknowledge", subject, entry.satellite_id, reason=body.note)
         self.session.flush()
         return self._read([entry], {entry.id: row})[0]
 
@@ -121,7 +121,7 @@ def counted(entries: Sequence[Entry], seen: set[str]) -> AttentionCounts:
     return AttentionCounts(act=act, watch=len(entries) - len(seen) - act, acknowledged=len(seen))
 
 
-def _fits(entry: Entry, query: AttentionQuery, is_seen: bool) -> bool:  # noqa: FBT001
+def _fits(entry: Entry, query: AttentionQuery, is_seen: bool) -> bool:
     finding = entry.finding
     asked = (
         (query.severity, finding.severity),

@@ -124,7 +124,12 @@ def situations(session: Session, satellites: Sequence[str] | None = None) -> lis
     """Return the situation of every magnetometer, or of those of ``satellites``, by satellite and magnetometer."""
     of = _reach(satellites)
     active, newest = _active(session, of), _newest_sets(session, of)
-    last, received, orbits, jobs = _sessions(session, of), _received(session, of), _orbits(session, of), _jobs(session, of)
+    last, received, orbits, jobs = (
+        _sessions(session, of),
+        _received(session, of),
+        _orbits(session, of),
+        _jobs(session, of),
+    )
     aboard = {(one.satellite_id, one.magnetometer_id): one for one in not_aboard(session)} if active else {}
     rows = session.execute(
         select(Magnetometer, Satellite).join(Satellite, Satellite.id == Magnetometer.satellite_id)

@@ -1,4 +1,4 @@
-"""Follows the log of what happened: has sessions judged, and tells the log what needs attention and what no longer does.
+"""Follows the log of what happened: has sessions judged, and tells the log what needs attention and what is over.
 
 One process of an installation at a time does it; the judging itself is a job, which any worker takes.
 """

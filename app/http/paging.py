@@ -56,7 +56,9 @@ def counted(session: Session, statement: Select[Row]) -> int:
     return session.scalar(select(func.count()).select_from(statement.order_by(None).subquery())) or 0
 
 
-def has_part(wanted: str, *columns: InstrumentedAttribute[str] | InstrumentedAttribute[str | None]) -> ColumnElement[bool]:
+def has_part(
+    wanted: str, *columns: InstrumentedAttribute[str] | InstrumentedAttribute[str | None]
+) -> ColumnElement[bool]:
     """Return the condition that one of ``columns`` has ``wanted`` in it, upper and lower case alike."""
     return or_(*(func.lower(column).contains(wanted.lower(), autoescape=True) for column in columns))
 

@@ -58,7 +58,7 @@ READINGS: Final[Mapping[str, tuple[str, Reading]]] = {
         "Residual of the newest session under the set in force over that of the set.", _residual_ratio,
     ),
     "magcal_magnetometer_data_age_seconds": ("Age of the newest reading, s.", _data_age),
-    "magcal_magnetometer_orbit_age_seconds": ("Age of the newest orbit, s; below 0 where it reaches ahead.", _orbit_age),
+    "magcal_magnetometer_orbit_age_seconds": ("Age of the newest orbit, s; below 0 if it reaches ahead.", _orbit_age),
     "magcal_magnetometer_set_age_seconds": ("Age of the newest data of the set in force, s.", _set_age),
 }  # fmt: skip
 

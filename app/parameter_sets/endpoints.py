@@ -36,8 +36,8 @@ from app.parameter_sets.schemas import (
 from app.parameter_sets.tables import ParameterSet
 from app.records.arrow import from_bytes
 from app.satellites.tables import Magnetometer
-from app.sessions.tables import TelemetrySession
 from app.sessions.sensor_reading import PLAIN, SensorReading
+from app.sessions.tables import TelemetrySession
 from app.settings import Settings
 from app.storage.store import residuals_key
 from magcal_core.samples import Samples
@@ -81,7 +81,7 @@ def get_parameter_set(parameter_set_id: str, request: Request, caller: Reader, d
 
 @router.get("/{parameter_set_id}/reasons")
 def list_reasons(parameter_set_id: str, caller: Reader, db: Db) -> ReasonList:
-    """Say in plain words why the verdict is what it is, each reason with its figure, its limit, and what may mend it."""
+    """Say in plain words why the verdict is what it is: each reason with figure, limit and what may mend it."""
     with db.read() as session:
         sets = ParameterSetRepository(session, caller)
         row = sets.get(parameter_set_id)
@@ -142,7 +142,9 @@ def activate_parameter_set(
     is_forced = force or (body is not None and body.force)
     with db.write() as session:
         sets = ParameterSetRepository(session, caller)
-        return sets.read([sets.activate(parameter_set_id, force=is_forced, reason=reason or (None if body is None else body.reason))])[0]
+        return sets.read(
+            [sets.activate(parameter_set_id, force=is_forced, reason=reason or (None if body is None else body.reason))]
+        )[0]
 
 
 @router.post("/{parameter_set_id}/rollback")

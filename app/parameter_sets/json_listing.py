@@ -49,7 +49,15 @@ class Listed:
     @property
     def tag(self) -> str:
         """The entity tag of the answer."""
-        told = "\n".join((_version(), self.cursor or "", str(self.total), self.view, *(f"{one} {status}" for one, status in self.sets)))
+        told = "\n".join(
+            (
+                _version(),
+                self.cursor or "",
+                str(self.total),
+                self.view,
+                *(f"{one} {status}" for one, status in self.sets),
+            )
+        )
         return f'"{hashlib.sha256(told.encode()).hexdigest()[:32]}"'
 
 
@@ -114,9 +122,7 @@ def summaries(connection: Connection, listed_sets: Listed) -> list[bytes]:
         *(own.data_from, own.data_until, own.created_at, record["statistics"]["after"]["rms_nt"].as_float()),
     ).where(own.id.in_([set_id for set_id, _ in listed_sets.sets]))
     names = list(ParameterSetSummary.model_fields)
-    found = {
-        row[0]: ParameterSetSummary(**dict(zip(names, row, strict=True))) for row in connection.execute(statement)
-    }
+    found = {row[0]: ParameterSetSummary(**dict(zip(names, row, strict=True))) for row in connection.execute(statement)}
     return [found[set_id].model_dump_json().encode() for set_id, _ in listed_sets.sets]
 
 

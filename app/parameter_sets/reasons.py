@@ -89,7 +89,9 @@ def _comparison(subject: Subject) -> str | None:
 
 TUKEY: Final = _again("Again with tukey", lambda _subject: {"robust": "tukey"})
 REGRESSORS: Final = _again("With the regressors that unseen blocks bear out", _regressors)
-NO_REGRESSORS: Final = _again("Without regressors", lambda one: {"regressors": []} if one.options.get("regressors") else None)
+NO_REGRESSORS: Final = _again(
+    "Without regressors", lambda one: {"regressors": []} if one.options.get("regressors") else None
+)
 CLOCK: Final = _again("Look for the clock", _no_clock)
 SCALAR: Final = _again("Again from |B| alone", lambda _subject: {"method": "scalar"})
 ORBITS: Final = _page("Choose orbit", lambda subject: f"/satellites/{subject.satellite_id}#orbits")

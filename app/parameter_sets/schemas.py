@@ -154,4 +154,6 @@ class ActivateBody(Body):
     """How a parameter set is put in force."""
 
     force: bool = Field(False, description="Also where the verdict is `refuse`.")
-    reason: Name | None = Field(None, description="Why; required where the verdict is `refuse`. The audit trail has it.")
+    reason: Name | None = Field(
+        None, description="Why; required where the verdict is `refuse`. The audit trail has it."
+    )

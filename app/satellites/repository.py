@@ -12,7 +12,13 @@ from app.access.caller import Caller
 from app.errors import ConflictError, NotFoundError
 from app.http.paging import counted, fetch_page, has_part
 from app.http.schemas import PageQuery
-from app.satellites.schemas import MagnetometerChange, MagnetometerCreate, SatelliteChange, SatelliteCreate, SatelliteQuery
+from app.satellites.schemas import (
+    MagnetometerChange,
+    MagnetometerCreate,
+    SatelliteChange,
+    SatelliteCreate,
+    SatelliteQuery,
+)
 from app.satellites.tables import Magnetometer, Satellite
 from app.storage.database import utc_now
 

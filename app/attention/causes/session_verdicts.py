@@ -23,16 +23,24 @@ class SessionVerdict:
         session, active = situation.judged, situation.active
         if session is None or active is None or session.grade != self.grade:
             return None
-        ratio = "" if session.residual_ratio is None else f", {_times(session.residual_ratio)} its residual"
-        why = f": {session.reasons[0].partition(': ')[2]}" if session.reasons else ""
         links = {"session_id": session.id, "parameter_set_id": active.id}
         action = _action(situation, session)
         if situation.is_calibrating and situation.job is not None:
             links["job_id"], action = situation.job.id, None
-        text = f"Session of {day(session.data_until)} {self.words}{ratio}{why}"
+        text = f"Session of {day(session.data_until)} {self.words}: {_why(session)}"
         if action is None:
             text += "; a calibration is under way"
         return Finding(self.severity, text, session.created_at, f"{session.id} {active.id}", links, action)
+
+
+def _why(session: SessionFacts) -> str:
+    """Return the drift of the parameters, where that is a reason, and the residual with the limits that it has."""
+    drifts = [reason.partition(": ")[2] for reason in session.reasons if reason.startswith("parameter_drift")]
+    if session.residual_ratio is None or session.residual_rms_nt is None:
+        return "; ".join(drifts)
+    times = f"{_times(session.residual_ratio)} that of the set"
+    residual = f"residual {session.residual_rms_nt:,.0f} nT, {times} (watched from 2 times on, disagrees from 4)"
+    return "; ".join([residual, *drifts])
 
 
 def _times(ratio: float) -> str:

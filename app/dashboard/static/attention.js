@@ -42,7 +42,7 @@ function acknowledge(entry, again) {
 function button(entry, again) {
   const { action } = entry;
   if (!action) return null;
-  if (action.method === "GET") return h("a", { class: "button", href: action.path }, action.label);
+  if (action.method === "GET") return h("a", { class: `button${entry.severity === "act" ? " primary" : ""}`, href: action.path }, action.label);
   if (!may("operate")) return null;
   const made = h("button", { type: "button", class: entry.severity === "act" ? "primary" : "", onclick: () => press(entry, made, again) }, action.label);
   return made;
@@ -54,12 +54,12 @@ const links = ({ links: of }) => [
   of.job_id ? h("a", { href: `/jobs?q=${of.job_id}` }, `job ${short(of.job_id)}`) : null,
 ].filter(Boolean);
 
-export function line(entry, again, { withPlace = true } = {}) {
+export function line(entry, again, { withPlace = true, names = new Map() } = {}) {
   const seen = entry.acknowledged;
   return h("li", { class: `entry ${entry.severity}${seen ? " seen" : ""}`, "data-code": entry.code },
     h("span", { class: "sign", "aria-hidden": "true" }, SIGNS[entry.severity]),
     h("div", { class: "what" },
-      h("p", { class: "place" }, withPlace ? [h("a", { href: `/satellites/${entry.satellite_id}` }, h("strong", {}, entry.satellite_id)), ` ${entry.magnetometer_id} `] : null,
+      h("p", { class: "place" }, withPlace ? [h("a", { href: `/satellites/${entry.satellite_id}` }, h("strong", {}, names.get(entry.satellite_id) ?? entry.satellite_id)), ` ${entry.magnetometer_id} `] : null,
         h("span", { class: "muted", title: time(entry.since) }, `since ${ago(entry.since)}`)),
       h("p", {}, h("span", { class: "hidden-word" }, entry.severity === "act" ? "To do: " : "To watch: "), entry.text),
       h("p", { class: "muted small" }, links(entry).flatMap((one, i) => (i ? [" · ", one] : [one])), " ", h("code", {}, entry.code),

@@ -64,17 +64,20 @@ function welcome(satellites) {
 
 start(async () => {
   const place = h("div");
+  const names = new Map();
   let drawn = "";
   async function attention() {
     const answer = await api(`/attention?limit=${MOST_LINES}&total=true`);
     counters(answer.counts);
-    const text = JSON.stringify(answer);
-    if (text !== drawn && !place.querySelector("details[open]")) place.replaceChildren(...lines(answer, again).filter(Boolean));
+    const text = JSON.stringify([answer, [...names]]);
+    if (text !== drawn && !place.querySelector("details[open]")) place.replaceChildren(...lines(answer, again, { names }).filter(Boolean));
     drawn = text;
   }
-  const fleet = listing("/fleet", COLUMNS, { caption: "Satellites", file: "satellites", facets: WALL ? [] : FACETS, sort: "worst", empty: "None fits." });
+  const fleet = listing("/fleet", COLUMNS, { caption: "Satellites", file: "satellites", facets: WALL ? [] : FACETS, sort: "worst", empty: "None fits.",
+    changed: ({ items }) => items.forEach((row) => { if (row.name) names.set(row.satellite, row.name); }) });
   async function again() {
-    await Promise.all([attention(), fleet.refresh()]);
+    await fleet.refresh();
+    await attention();
   }
   const first = await api("/fleet?limit=1");
   if (!first.total) {

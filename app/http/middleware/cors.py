@@ -14,7 +14,15 @@ SENT: Final = (
     "Authorization", "Content-Type", "Content-Encoding", "Content-Digest", "Idempotency-Key", "If-None-Match",
     "Last-Event-ID", "X-Request-ID",
 )  # fmt: skip
-READ: Final = ("ETag", "Location", "Retry-After", "X-Request-ID", "RateLimit-Limit", "RateLimit-Remaining", "RateLimit-Reset")
+READ: Final = (
+    "ETag",
+    "Location",
+    "Retry-After",
+    "X-Request-ID",
+    "RateLimit-Limit",
+    "RateLimit-Remaining",
+    "RateLimit-Reset",
+)
 PREFLIGHT_S: Final = 3600
 
 

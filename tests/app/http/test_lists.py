@@ -189,7 +189,7 @@ def test_the_set_in_force_at_a_time_is_the_last_one_begun_unless_it_had_ended(se
 
 
 def test_lists_count_search_sort_and_sum_up_on_request(api, names):
-    """Totals are those of all parts; `sort` turns the order round and parts still join; a search takes any part of an id."""
+    """Totals are of all parts; `sort` turns the order round and parts still join; a search takes a part of an id."""
     made = [next(names) for _ in range(3)]
     for name in made:
         api.post("/satellites", json={"id": name, "name": f"Heron {name}"}).raise_for_status()

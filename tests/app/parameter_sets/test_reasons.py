@@ -29,7 +29,12 @@ def test_every_code_of_a_verdict_is_explained() -> None:
     ("code", "options", "label", "change"),
     [
         ("many_rejected", {}, "Again with tukey", {"robust": "tukey"}),
-        ("large_residual", {"robust": "tukey"}, "With the regressors that unseen blocks bear out", {"regressors": "auto"}),
+        (
+            "large_residual",
+            {"robust": "tukey"},
+            "With the regressors that unseen blocks bear out",
+            {"regressors": "auto"},
+        ),
         ("poor_on_unseen_data", {"regressors": ["temperature"]}, "Without regressors", {"regressors": []}),
         ("orbit_old", {}, "Look for the clock", {"time_offset": "estimate"}),
         ("misaligned", {"method": "vector"}, "Again from |B| alone", {"method": "scalar"}),

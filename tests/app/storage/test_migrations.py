@@ -11,11 +11,11 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import JSON, MetaData, delete, insert, inspect, select, text
 
 import app.aboard.tables
-import app.attention.tables
-import app.notes.tables
 import app.access.idempotency
 import app.access.key_tables
+import app.attention.tables
 import app.jobs.tables
+import app.notes.tables
 import app.notifications.tables
 import app.orbits.tables
 import app.outbox.tables
