@@ -16,9 +16,9 @@ from app.storage.database import Base, Database
 from app.storage.migration import require_head
 
 ROOMS: Final = (
-    "app.aboard.tables", "app.access.idempotency", "app.access.key_tables", "app.attention.tables", "app.jobs.tables",
-    "app.notes.tables", "app.notifications.tables", "app.orbits.tables", "app.outbox.tables", "app.parameter_sets.tables",
-    "app.satellites.tables", "app.sessions.tables", "app.storage.database_store",
+    "app.aboard.tables", "app.access.idempotency", "app.access.key_tables", "app.attention.tables",
+    "app.jobs.tables", "app.notes.tables", "app.notifications.tables", "app.orbits.tables", "app.outbox.tables",
+    "app.parameter_sets.tables", "app.satellites.tables", "app.sessions.tables", "app.storage.database_store",
 )  # fmt: skip
 """Modules whose tables are the database."""
 ROWS_AT_ONCE: Final = 200

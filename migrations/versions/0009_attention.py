@@ -11,9 +11,9 @@ branch_labels = None
 depends_on = None
 
 ADDED = (
-    ("satellite", sa.Column("data_stale_days", sa.Float(), nullable=True)),
-    ("satellite", sa.Column("orbit_stale_days", sa.Float(), nullable=True)),
-    ("satellite", sa.Column("station_silent_hours", sa.Float(), nullable=True)),
+    ("satellite", sa.Column("data_stale_days", sa.Double(), nullable=True)),
+    ("satellite", sa.Column("orbit_stale_days", sa.Double(), nullable=True)),
+    ("satellite", sa.Column("station_silent_hours", sa.Double(), nullable=True)),
     ("orbit", sa.Column("withdrawn_at", UtcDateTime(), nullable=True)),
     ("orbit", sa.Column("withdrawn_by", sa.String(length=32), nullable=True)),
     ("audit_event", sa.Column("reason", sa.String(length=2000), nullable=True)),
@@ -31,8 +31,8 @@ def upgrade() -> None:
         sa.Column("session_id", sa.String(length=32), nullable=False),
         sa.Column("parameter_set_id", sa.String(length=32), nullable=False),
         sa.Column("grade", sa.String(length=16), nullable=False),
-        sa.Column("residual_rms_nt", sa.Float(), nullable=True),
-        sa.Column("residual_ratio", sa.Float(), nullable=True),
+        sa.Column("residual_rms_nt", sa.Double(), nullable=True),
+        sa.Column("residual_ratio", sa.Double(), nullable=True),
         sa.Column("record", JsonColumn, nullable=False),
         sa.Column("judged_at", UtcDateTime(), nullable=False),
         sa.CheckConstraint(
