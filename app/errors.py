@@ -164,5 +164,11 @@ class RefusedVerdictError(ServiceError):
     code = "verdict_refuse"
 
 
+class ReasonRequiredError(ServiceError):
+    """A parameter set whose verdict is ``refuse`` is put in force with a reason alone."""
+
+    code = "reason_required"
+
+
 def _without_value(match: re.Match[str]) -> str:
     return match["proposed"] or "'...'"

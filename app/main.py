@@ -16,6 +16,9 @@ from app.access import key_endpoints as keys
 from app.access.authentication import FailureLimiter, RecentKeys, SteadyClock
 from app.access.idempotency import Running
 from app.access.oidc import open_issuer
+from app.attention import endpoints as attention
+from app.attention.entries import Fleet
+from app.attention.watcher import Watcher
 from app.connectors.orbits.watch import stopped_sources
 from app.connectors.orbits.watcher import OrbitWatcher
 from app.dashboard import endpoints as displays
@@ -23,6 +26,7 @@ from app.dashboard import pages
 from app.field import endpoints as field
 from app.http.allowed_methods import Methods
 from app.http.entity_tags import Revalidation
+from app.http.middleware.cors import allow_origins
 from app.http.middleware.head_requests import HeadRequests
 from app.http.middleware.request_limits import RequestLimits
 from app.http.middleware.request_log import RequestLog
@@ -37,6 +41,7 @@ from app.jobs.engines.open_engine import Engine, open_engine
 from app.maintenance import satellite_endpoints
 from app.monitoring import endpoints as monitoring
 from app.monitoring import rollouts, trends
+from app.notes import endpoints as notes
 from app.notifications import endpoints as notifications
 from app.notifications.event_stream import NewestEntry
 from app.notifications.notifier import Notifier
@@ -77,6 +82,8 @@ ROOMS: Final = (
     indices,
     keys,
     displays,
+    attention,
+    notes,
     notifications,
 )
 STOP_GRACE_S: Final = 20.0
@@ -120,6 +127,9 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
     app.state.stopped_sources = lambda: stopped_sources(database)
     source = settings.orbit_source
     app.state.orbits = None if source is None else OrbitWatcher(database, settings, source)
+    app.state.fleet = Fleet()
+    app.state.unknown_page = pages.unknown_page
+    app.state.watcher = Watcher(database, settings, app.state.queue)
     app.include_router(health.router)
     api = APIRouter(prefix=API)
     for room in ROOMS:
@@ -135,6 +145,7 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
     app.add_middleware(SecurityHeaders)
     app.add_middleware(Revalidation)
     app.add_middleware(RequestLog)
+    allow_origins(app, settings)
     app.add_middleware(UploadGate, most=settings.max_uploads_at_once, most_per_key=settings.max_uploads_per_key)
     return app
 
@@ -150,9 +161,11 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     app.state.notifier.start()
     if app.state.orbits is not None:
         app.state.orbits.start()
+    app.state.watcher.start()
     try:
         yield
     finally:
+        await run_in_threadpool(app.state.watcher.stop)
         if engine.workers is not None:
             await run_in_threadpool(engine.workers.stop, STOP_GRACE_S)
         await run_in_threadpool(app.state.keeper.close)

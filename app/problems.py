@@ -18,6 +18,7 @@ from app.errors import (
     NotAcceptableError,
     NotFoundError,
     QuotaError,
+    ReasonRequiredError,
     RefusedVerdictError,
     ScopeRequiredError,
     StorageFullError,
@@ -76,6 +77,7 @@ STATUS: Final[Mapping[type[MagcalError], int]] = {
     StoredObjectCorruptError: 500,
     ExpiredError: 410,
     RefusedVerdictError: 409,
+    ReasonRequiredError: 422,
     MagcalError: 500,
 }
 """Class of an error -> HTTP status; a class that is not named has its nearest base's."""

@@ -61,6 +61,14 @@ class Settings(BaseSettings):
     job_lease_s: PositiveFloat = Field(10.0, description="A job is taken up by another worker after so long, s.")
     job_poll_s: PositiveFloat = Field(0.25, description="A worker looks for jobs of other processes so often, s.")
 
+    cors_origins: str = Field(
+        "",
+        pattern=r"^\s*(https?://[A-Za-z0-9.:\[\]-]+/?\s*(,\s*https?://[A-Za-z0-9.:\[\]-]+/?\s*)*)?$",
+        description="Origins whose pages may call the API, comma-separated; empty: none.",
+    )
+    metrics_magnetometers: NonNegativeInt = Field(
+        1000, description="Most magnetometers that `/metrics` tells of one by one, the worst first."
+    )
     max_queued_jobs: PositiveInt = Field(20_000, description="Most jobs that wait, per key.")
     auth_failures_per_minute: PositiveInt = Field(20, description="Wrong keys per address and key id, per minute.")
     oidc_issuer: str | None = Field(None, description="OpenID Connect issuer whose tokens are taken; unset: none.")

@@ -11,9 +11,11 @@ import app.aboard.tables
 import app.access.audit_trail
 import app.access.idempotency
 import app.access.key_tables
+import app.attention.tables
 import app.connectors.tables
 import app.indices.tables
 import app.jobs.tables
+import app.notes.tables
 import app.notifications.tables
 import app.orbits.tables
 import app.outbox.tables

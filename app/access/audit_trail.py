@@ -12,12 +12,22 @@ from app.access.caller import Caller
 from app.storage.database import Base, new_id, utc_now
 
 
-def record_event(session: Session, caller: Caller, action: str, subject: str, satellite_id: str | None = None) -> None:
-    """Add one line to the audit trail, in the transaction of what it tells of."""
-    session.connection().execute(NEW_EVENT, event_of(caller, action, subject, satellite_id))
+def record_event(
+    session: Session,
+    caller: Caller,
+    action: str,
+    subject: str,
+    satellite_id: str | None = None,
+    *,
+    reason: str | None = None,
+) -> None:
+    """Add one line to the audit trail, in the transaction of what it tells of; ``reason`` in the caller's words."""
+    session.connection().execute(NEW_EVENT, event_of(caller, action, subject, satellite_id, reason=reason))
 
 
-def event_of(caller: Caller, action: str, subject: str, satellite_id: str | None = None) -> dict[str, object]:
+def event_of(
+    caller: Caller, action: str, subject: str, satellite_id: str | None = None, *, reason: str | None = None
+) -> dict[str, object]:
     """Return one line of the audit trail, for `NEW_EVENT`."""
     return {
         "id": new_id(),
@@ -28,6 +38,7 @@ def event_of(caller: Caller, action: str, subject: str, satellite_id: str | None
         "satellite_id": satellite_id,
         "address": caller.address,
         "request_id": caller.request_id,
+        "reason": reason,
     }
 
 
@@ -45,6 +56,7 @@ class AuditEvent(Base):
     satellite_id: Mapped[str | None] = mapped_column(String(63))
     address: Mapped[str | None] = mapped_column(String(64))
     request_id: Mapped[str | None] = mapped_column(String(64))
+    reason: Mapped[str | None] = mapped_column(String(2000))
 
 
 NEW_EVENT: Final = AuditEvent.metadata.tables["audit_event"].insert()

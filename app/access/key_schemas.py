@@ -50,3 +50,4 @@ class AuditRead(Record):
     satellite_id: str | None
     address: str | None
     request_id: str | None
+    reason: str | None = Field(description="In the words of who did it, where the call asks for one.")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import hashlib
 import re
+from collections.abc import Collection
 from functools import cache
 from importlib import resources
 from importlib.metadata import version
@@ -37,6 +38,11 @@ def _static() -> dict[str, tuple[bytes, str, str]]:
             content = path.read_bytes()
             found[path.name] = content, STATIC_TYPES[suffix], f'"{hashlib.sha256(content).hexdigest()[:32]}"'
     return found
+
+
+def names() -> Collection[str]:
+    """Return the names of the dashboard's own files."""
+    return _static().keys()
 
 
 @cache

@@ -7,6 +7,9 @@ from typing import Final
 
 from app.access import key_endpoints as keys
 from app.access.caller import Caller, Scope
+from app.attention import endpoints as attention
+from app.attention.entries import Fleet
+from app.attention.schemas import AttentionCounts, AttentionQuery, FleetQuery
 from app.dashboard import endpoints as displays
 from app.dashboard.schemas import OverviewQuery
 from app.http.schemas import PageQuery
@@ -23,6 +26,8 @@ Answers = Mapping[str, str]
 Bringer = Callable[[Caller, Database, Texts], Answers]
 MOST: Final = 1000
 MOST_JOBS: Final = 50
+MOST_LINES: Final = 100
+MOST_ROWS: Final = 50
 
 
 def brought(ask: Bringer | None, caller: Caller, database: Database, texts: Texts) -> Answers:
@@ -35,10 +40,27 @@ def brought(ask: Bringer | None, caller: Caller, database: Database, texts: Text
         return {}
 
 
-def of_overview(caller: Caller, database: Database, _texts: Texts) -> Answers:
-    """Return the state of all satellites."""
-    rows = displays.get_overview(OverviewQuery(limit=MOST), caller, database)
-    return {f"/overview?limit={MOST}": rows.model_dump_json()}
+def of_overview(fleet: Fleet) -> Bringer:
+    """Return what brings what needs attention, and the fleet."""
+
+    def ask(caller: Caller, database: Database, _texts: Texts) -> Answers:
+        entries = attention.list_attention(AttentionQuery(limit=MOST_LINES, total=True), caller, database, fleet)
+        rows = attention.list_fleet(FleetQuery(limit=MOST_ROWS), caller, database, fleet)
+        first = attention.list_fleet(FleetQuery(limit=1), caller, database, fleet)
+        return {
+            f"/attention?limit={MOST_LINES}&total=true": entries.model_dump_json(),
+            f"/fleet?limit={MOST_ROWS}&sort=worst": rows.model_dump_json(),
+            "/fleet?limit=1": first.model_dump_json(),
+        }
+
+    return ask
+
+
+def counts_of(fleet: Fleet, caller: Caller, database: Database) -> AttentionCounts | None:
+    """Return how much needs attention, for the header; None for a key that may not read."""
+    if not caller.may(Scope.READ):
+        return None
+    return attention.list_attention(AttentionQuery(limit=1), caller, database, fleet).counts
 
 
 def of_satellite(satellite_id: str) -> Bringer:
@@ -78,8 +100,8 @@ def of_parameter_sets(*set_ids: str) -> Bringer:
 
 def of_jobs(caller: Caller, database: Database, _texts: Texts) -> Answers:
     """Return the newest jobs."""
-    newest = jobs.list_jobs(JobQuery(limit=MOST_JOBS), caller, database)
-    return {f"/jobs?limit={MOST_JOBS}": newest.model_dump_json()}
+    newest = jobs.list_jobs(JobQuery(limit=MOST_JOBS, total=True), caller, database)
+    return {f"/jobs?limit={MOST_JOBS}&sort=-created&total=true": newest.model_dump_json()}
 
 
 def of_keys(caller: Caller, database: Database, _texts: Texts) -> Answers:

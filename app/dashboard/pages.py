@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Final
 from urllib.parse import parse_qsl
@@ -16,6 +17,7 @@ from app.dashboard import assets, page_data
 from app.errors import TooManyFailuresError, UnauthorizedError
 from app.http.dependencies import Config, Db
 from app.http.strict_json import in_time
+from app.parameter_sets.reasons import REASONS
 from app.reporting.figures.page import script_json
 
 if TYPE_CHECKING:
@@ -58,27 +60,39 @@ def _caller(request: Request) -> Caller | None:
         return None
 
 
-def _page(request: Request, template: str, title: str, ask: page_data.Bringer | None = None) -> HTMLResponse:
+def _page(
+    request: Request,
+    template: str,
+    title: str,
+    ask: page_data.Bringer | None = None,
+    *,
+    status: int = 200,
+    values: Mapping[str, object] | None = None,
+) -> HTMLResponse:
     caller = _caller(request)
     if caller is None:
         address = request.url.path + (f"?{request.url.query}" if request.url.query else "")
         return _render("login.html", title="Sign in", target=address, message="")
-    script = template.replace(".html", ".js")
+    name = template.replace(".html", ".js")
+    script = name if name in assets.names() else "plain.js"
     answers = page_data.brought(ask, caller, request.app.state.database, request.app.state.texts)
     return _render(
         template,
+        status,
+        **(values or {}),
         title=title,
         script=script,
         modules=assets.modules(script),
         scopes=sorted(caller.scopes),
         answers={path: script_json(text) for path, text in answers.items()},
+        counts=page_data.counts_of(request.app.state.fleet, caller, request.app.state.database),
     )
 
 
 @router.get("/")
 def overview_page(request: Request) -> HTMLResponse:
     """Show every satellite with its state at a glance."""
-    return _page(request, "overview.html", "Satellites", page_data.of_overview)
+    return _page(request, "overview.html", "Needs attention", page_data.of_overview(request.app.state.fleet))
 
 
 @router.get("/satellites/{satellite_id}")
@@ -110,6 +124,17 @@ def compare_page(request: Request) -> HTMLResponse:
 def jobs_page(request: Request) -> HTMLResponse:
     """Show the jobs, live."""
     return _page(request, "jobs.html", "Jobs", page_data.of_jobs)
+
+
+@router.get("/reasons")
+def reasons_page(request: Request) -> HTMLResponse:
+    """Show every reason that a verdict may have, in plain words."""
+    return _page(request, "reasons.html", "Reasons of a verdict", values={"reasons": REASONS})
+
+
+def unknown_page(request: Request) -> HTMLResponse:
+    """Return the page for an address at which there is nothing."""
+    return _page(request, "unknown.html", "Not found", status=404)
 
 
 @router.get("/keys")

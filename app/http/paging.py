@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from datetime import datetime
 from typing import TypeVar, TypeVarTuple
 
-from sqlalchemy import Select, tuple_
+from sqlalchemy import ColumnElement, Select, func, or_, select, tuple_
 from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from app.http.schemas import PageQuery, utc_text
@@ -26,19 +26,41 @@ class CursorError(InputError):
 
 
 def fetch_page(
-    session: Session, statement: Select[Row], keys: Sequence[InstrumentedAttribute[object]], query: PageQuery
+    session: Session,
+    statement: Select[Row],
+    keys: Sequence[InstrumentedAttribute[object]],
+    query: PageQuery,
+    *,
+    is_up: bool = False,
 ) -> tuple[list[Row], str | None]:
-    """Return the rows of one part, the greatest ``keys`` first, and the cursor of the next part."""
-    return cut(list(session.scalars(part_of(statement, keys, query))), keys, query)
+    """Return the rows of one part, the greatest ``keys`` first unless ``is_up``, and the cursor of the next part."""
+    return cut(list(session.scalars(part_of(statement, keys, query, is_up=is_up))), keys, query)
 
 
 def part_of(
-    statement: Select[*Columns], keys: Sequence[InstrumentedAttribute[object]], query: PageQuery
+    statement: Select[*Columns],
+    keys: Sequence[InstrumentedAttribute[object]],
+    query: PageQuery,
+    *,
+    is_up: bool = False,
 ) -> Select[*Columns]:
-    """Return the statement of one part, the greatest ``keys`` first, and of one row more, if there is one."""
+    """Return the statement of one part, the greatest ``keys`` first unless ``is_up``, and of one row more, if any."""
     if query.cursor is not None:
-        statement = statement.where(tuple_(*keys) < tuple_(*_decode(query.cursor, keys)))
-    return statement.order_by(*(key.desc() for key in keys)).limit(query.limit + 1)
+        last = tuple_(*_decode(query.cursor, keys))
+        statement = statement.where(tuple_(*keys) > last if is_up else tuple_(*keys) < last)
+    return statement.order_by(*(key.asc() if is_up else key.desc() for key in keys)).limit(query.limit + 1)
+
+
+def counted(session: Session, statement: Select[Row]) -> int:
+    """Return how many rows ``statement`` has in all."""
+    return session.scalar(select(func.count()).select_from(statement.order_by(None).subquery())) or 0
+
+
+def has_part(
+    wanted: str, *columns: InstrumentedAttribute[str] | InstrumentedAttribute[str | None]
+) -> ColumnElement[bool]:
+    """Return the condition that one of ``columns`` has ``wanted`` in it, upper and lower case alike."""
+    return or_(*(func.lower(column).contains(wanted.lower(), autoescape=True) for column in columns))
 
 
 def cut(

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import structlog
-from fastapi import FastAPI, Request
+from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from sqlalchemy.exc import DBAPIError
@@ -93,9 +93,18 @@ def _where(path: Sequence[str | int]) -> str:
     return "".join([str(first), *steps])[:MOST_OF_A_PLACE]
 
 
-def _http_error(request: Request, error: Exception) -> JSONResponse:
+def _is_a_page(request: Request) -> bool:
+    """Return whether somebody looks for a page with a browser, not a program for a call of the API."""
+    is_asked = request.method in {"GET", "HEAD"} and "text/html" in request.headers.get("accept", "")
+    return is_asked and not request.url.path.startswith(("/api/", "/static/", "/assets/"))
+
+
+def _http_error(request: Request, error: Exception) -> Response:
     if not isinstance(error, HTTPException):
         raise error
+    if error.status_code == 404 and _is_a_page(request):
+        page: Response = request.app.state.unknown_page(request)
+        return page
     codes = {404: "not_found", 405: "method_not_allowed", 413: "upload_too_large", 400: "bad_request"}
     code: str = getattr(error, "code", codes.get(error.status_code, "http"))
     body = problem(error.status_code, code, str(error.detail))

@@ -78,18 +78,24 @@ Slug = Annotated[str, StringConstraints(pattern=r"^[a-z0-9][a-z0-9._-]{0,62}$")]
 """Name of a satellite or magnetometer in addresses: lower case, digits, dot, dash, underscore."""
 
 
+Search = Annotated[str, StringConstraints(min_length=1, max_length=200), AfterValidator(_clean_text)]
+"""Part of a name or an id that a list is searched for."""
+
+
 class PageQuery(Filter):
     """Which part of a list."""
 
     limit: int = Field(100, ge=1, le=1000, description="Most items in the answer.")
     cursor: str | None = Field(None, max_length=1000, description="`next` of the answer before.")
+    total: bool = Field(False, description="With how many there are in all parts together.")
 
 
 class Page(BaseModel, Generic[Item]):
-    """A part of a list; `next` is the cursor of the following part."""
+    """A part of a list; `next` is the cursor of the following part, `total` the count of all parts where asked for."""
 
     items: list[Item]
     next: str | None = None
+    total: int | None = Field(None, exclude_if=lambda value: value is None)
 
 
 Identifier = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{32}$")]

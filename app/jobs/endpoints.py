@@ -14,7 +14,6 @@ from app.access.authentication import Operator, Reader, is_still_valid
 from app.access.caller import Caller
 from app.access.idempotency import KeyHeader, fingerprint, recall, remember
 from app.http.dependencies import Blobs, Config, Db
-from app.http.schemas import Page
 from app.http.strict_json import StrictJsonRoute
 from app.http.tables import TABLES, table_response, wanted_format, write_table
 from app.jobs.dependencies import Jobs
@@ -22,7 +21,7 @@ from app.jobs.kinds.registry import JobRequest
 from app.jobs.kinds.result_series import read_series
 from app.jobs.repository import JobRepository
 from app.jobs.reprocessing import submit_reprocessing
-from app.jobs.schemas import JobQuery, JobRead, ReprocessingBody
+from app.jobs.schemas import JobPage, JobQuery, JobRead, ReprocessingBody
 from app.parameter_sets.schemas import TableQuery
 from app.records.arrow import from_bytes
 
@@ -83,12 +82,14 @@ def create_reprocessing(
 
 
 @router.get("/jobs")
-def list_jobs(query: Annotated[JobQuery, Query()], caller: Reader, db: Db) -> Page[JobRead]:
-    """List the jobs, the newest first."""
+def list_jobs(query: Annotated[JobQuery, Query()], caller: Reader, db: Db) -> JobPage:
+    """List the jobs, the newest first; with `total`, counted by state."""
     with db.read() as session:
         jobs = JobRepository(session, caller)
         rows, cursor = jobs.page(query)
-        return Page(items=jobs.read(rows), next=cursor)
+        counts = jobs.counts(query) if query.total else None
+        total = None if counts is None else counts.get(query.state, 0) if query.state else sum(counts.values())
+        return JobPage(items=jobs.read(rows), next=cursor, total=total, counts=counts)
 
 
 @router.get("/jobs/{job_id}")

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sqlalchemy import ColumnElement, or_, select, true, update
+from sqlalchemy import ColumnElement, Select, func, or_, select, true, update
 from sqlalchemy.orm import Session
 
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.errors import ConflictError, NotFoundError
-from app.http.paging import fetch_page
+from app.http.paging import fetch_page, has_part
 from app.jobs.endings import tell_ended
 from app.jobs.fair_order import take_turns
 from app.jobs.kinds.registry import JOB_KINDS
@@ -19,6 +19,7 @@ from app.jobs.quota import check_quota
 from app.jobs.reprocessing import KIND, cancel_reprocessing, progress_of, settle
 from app.jobs.schemas import JobBody, JobQuery, JobRead
 from app.jobs.tables import Job, JobSession
+from app.parameter_sets.tables import ParameterSet
 from app.storage.database import DatabaseNow, new_id, utc_now
 
 
@@ -71,10 +72,21 @@ class JobRepository:
         return row
 
     def page(self, query: JobQuery) -> tuple[list[Job], str | None]:
-        """Return a part of the jobs, the newest first."""
+        """Return a part of the jobs, the newest first unless asked otherwise."""
+        statement = self._wanted(query)
+        if query.state is not None:
+            statement = statement.where(Job.state == query.state)
+        return fetch_page(self.session, statement, (Job.id,), query, is_up=query.sort == "created")
+
+    def counts(self, query: JobQuery) -> dict[str, int]:
+        """Return how many of the jobs that ``query`` asks for there are of each state, whichever it asks for."""
+        wanted = self._wanted(query).with_only_columns(Job.state, func.count()).group_by(Job.state)
+        return {str(state): int(count) for state, count in self.session.execute(wanted)}
+
+    def _wanted(self, query: JobQuery) -> Select[Job]:
+        """Return the statement of what ``query`` asks for, in every state."""
         statement = select(Job).where(self._within_reach())
         equal = {
-            Job.state: query.state,
             Job.kind: query.kind,
             Job.satellite_id: query.satellite,
             Job.magnetometer_id: query.magnetometer,
@@ -86,7 +98,9 @@ class JobRepository:
         if query.session is not None:
             of_session = select(JobSession.job_id).where(JobSession.session_id == query.session)
             statement = statement.where(Job.id.in_(of_session))
-        return fetch_page(self.session, statement, (Job.id,), query)
+        if query.q is not None:
+            statement = statement.where(has_part(query.q, Job.id, Job.satellite_id, Job.magnetometer_id, Job.kind))
+        return statement
 
     def cancel(self, job_id: str) -> Job:
         """Return the job ``job_id``, cancelled if it waited, about to be if it runs."""
@@ -126,7 +140,16 @@ class JobRepository:
         links = select(JobSession).where(JobSession.job_id.in_(sessions)).order_by(JobSession.session_id)
         for link in self.session.scalars(links):
             sessions[link.job_id].append(link.session_id)
-        return [_read(job, sessions[job.id], self._progress(job)) for job in jobs]
+        verdicts = self._verdicts(jobs)
+        return [_read(job, sessions[job.id], self._progress(job), verdicts.get(job.id)) for job in jobs]
+
+    def _verdicts(self, jobs: Sequence[Job]) -> dict[str, str]:
+        """Return the verdict of each job's parameter set, where it made one."""
+        made = [job.id for job in jobs if job.kind == "calibration" and job.state == "succeeded"]
+        if not made:
+            return {}
+        found = select(ParameterSet.job_id, ParameterSet.grade).where(ParameterSet.job_id.in_(made))
+        return dict(self.session.execute(found).tuples().all())
 
     def _progress(self, job: Job) -> float:
         is_sum = job.kind == KIND and job.state == "running"
@@ -139,7 +162,7 @@ class JobRepository:
         return or_(Job.satellite_id.in_(sorted(self.caller.satellites)), own)
 
 
-def _read(job: Job, session_ids: list[str], progress: float) -> JobRead:
+def _read(job: Job, session_ids: list[str], progress: float, verdict: str | None) -> JobRead:
     return JobRead.model_validate(
         {
             "id": job.id,
@@ -156,6 +179,7 @@ def _read(job: Job, session_ids: list[str], progress: float) -> JobRead:
             "options": job.request,
             "error": job.error,
             "result": job.result,
+            "verdict": verdict,
             "cancel_requested": job.cancel_requested,
             "created_at": job.created_at,
             "created_by": job.created_by,

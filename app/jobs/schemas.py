@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field, JsonValue
 
-from app.http.schemas import Body, Identifier, PageQuery, Record, Slug, UtcTime
+from app.http.schemas import Body, Identifier, Page, PageQuery, Record, Search, Slug, UtcTime
 from app.records.calibration_options import CalibrationOptionsBody
 
 JobState = Literal["queued", "running", "succeeded", "failed", "cancelled"]
@@ -55,6 +55,7 @@ class JobRead(Record):
     options: dict[str, JsonValue]
     error: dict[str, JsonValue] | None
     result: dict[str, JsonValue] | None
+    verdict: Literal["accept", "weak", "refuse"] | None = Field(None, description="Of the set that it made.")
     cancel_requested: bool
     created_at: UtcTime
     created_by: str | None
@@ -71,3 +72,11 @@ class JobQuery(PageQuery):
     magnetometer: Slug | None = None
     session: Identifier | None = None
     parent: Identifier | None = None
+    q: Search | None = Field(None, description="Part of an id of the job, its satellite, magnetometer or kind.")
+    sort: Literal["created", "-created"] = Field("-created", description="`-created`: the newest first.")
+
+
+class JobPage(Page[JobRead]):
+    """A part of the jobs; with `total`, how many there are of each state, whichever state is asked for."""
+
+    counts: dict[str, int] | None = Field(None, exclude_if=lambda value: value is None)

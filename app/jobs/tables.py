@@ -22,6 +22,7 @@ class Job(Base):
         Index(None, "state", "id"),
         Index(None, "created_by", "state"),
         Index(None, "satellite_id", "id"),
+        Index(None, "satellite_id", "magnetometer_id", "id"),
         Index(None, "parent_id", "state"),
     )
 

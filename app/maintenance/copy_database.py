@@ -19,10 +19,9 @@ from app.storage.migration import require_head
 
 ROOMS: Final = (
     "app.aboard.tables", "app.access.audit_trail", "app.access.idempotency", "app.access.key_tables",
-    "app.connectors.tables", "app.indices.tables", "app.jobs.tables", "app.notifications.tables", "app.orbits.tables",
-    "app.outbox.tables", "app.parameter_sets.tables", "app.satellites.tables", "app.sessions.tables",
-    "app.storage.identity",
-    "app.storage.database_store",
+    "app.attention.tables", "app.connectors.tables", "app.indices.tables", "app.jobs.tables", "app.notes.tables",
+    "app.notifications.tables", "app.orbits.tables", "app.outbox.tables", "app.parameter_sets.tables",
+    "app.satellites.tables", "app.sessions.tables", "app.storage.database_store", "app.storage.identity",
 )  # fmt: skip
 """Modules whose tables are the database."""
 ROWS_AT_ONCE: Final = 200

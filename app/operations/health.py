@@ -12,10 +12,14 @@ from pydantic import Field
 from sqlalchemy import text
 from sqlalchemy.exc import SQLAlchemyError
 
+from app.access.authentication import authenticate
+from app.access.caller import Scope
+from app.attention.endpoints import Known
 from app.errors import ServiceError
 from app.http.dependencies import Blobs, Config, Db
 from app.http.schemas import Record
 from app.jobs.dependencies import Jobs
+from app.operations.magnetometer_metrics import MagnetometerState
 from app.operations.queue_metrics import metrics_text
 
 router = APIRouter(tags=["health"])
@@ -64,9 +68,13 @@ def ready(  # noqa: PLR0917  FastAPI reads a call's inputs from its arguments
 
 
 @router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
-def metrics(db: Db) -> Response:
-    """Give the figures in Prometheus' text format."""
-    return Response(metrics_text(db), media_type=CONTENT_TYPE_LATEST)
+def metrics(request: Request, db: Db, config: Config, fleet: Known) -> Response:
+    """Give the figures in Prometheus' text format; with a key that may read, also of each magnetometer it reaches."""
+    caller = authenticate(request) if "authorization" in request.headers else None
+    if caller is None or not caller.may(Scope.READ):
+        return Response(metrics_text(db), media_type=CONTENT_TYPE_LATEST)
+    own = MagnetometerState(db, fleet, caller, config.metrics_magnetometers)
+    return Response(metrics_text(db, own), media_type=CONTENT_TYPE_LATEST)
 
 
 def _state(is_good: bool) -> State:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from prometheus_client import REGISTRY, CollectorRegistry, generate_latest
 from prometheus_client.core import GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
 from sqlalchemy import func, select
 
 from app.jobs.tables import Job
@@ -49,8 +50,10 @@ class ServiceState:
         yield GaugeMetricFamily("magcal_store_bytes", "Bytes in the database's store.", value=int(stored[1]))
 
 
-def metrics_text(database: Database) -> bytes:
-    """Return this process's counters and the service's state, in Prometheus' text format."""
+def metrics_text(database: Database, magnetometers: Collector | None = None) -> bytes:
+    """Return this process's counters and the service's state, and of ``magnetometers``, in Prometheus' text format."""
     own = CollectorRegistry()
     own.register(ServiceState(database))
+    if magnetometers is not None:
+        own.register(magnetometers)
     return generate_latest(REGISTRY) + generate_latest(own)

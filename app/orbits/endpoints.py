@@ -9,7 +9,7 @@ from typing import Annotated, Final
 from fastapi import APIRouter, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from app.access.authentication import OrbitSource, Reader, authenticate
+from app.access.authentication import Operator, OrbitSource, Reader, authenticate
 from app.access.caller import Caller
 from app.http.dependencies import Config, Db
 from app.http.receiving import receive
@@ -99,6 +99,20 @@ def list_orbits(satellite_id: str, query: Annotated[OrbitQuery, Query()], caller
             return Page(items=[_read(row) for row in rows], next=cursor)
         row = chosen(orbits.around(query.at, query.at, 0.0), query.at)
     return Page(items=[] if row is None else [_read(row, query.at)])
+
+
+@router.post("/{orbit_id}/withdraw")
+def withdraw_orbit(satellite_id: str, orbit_id: str, caller: Operator, db: Db) -> OrbitRead:
+    """Take an orbit out of use, such as one of another object; it stays for what was made with it."""
+    with db.write() as session:
+        return _read(OrbitRepository(session, caller, satellite_id).withdraw(orbit_id))
+
+
+@router.post("/{orbit_id}/restore")
+def restore_orbit(satellite_id: str, orbit_id: str, caller: Operator, db: Db) -> OrbitRead:
+    """Put an orbit that was withdrawn to use again."""
+    with db.write() as session:
+        return _read(OrbitRepository(session, caller, satellite_id).restore(orbit_id))
 
 
 @router.get("/{orbit_id}")

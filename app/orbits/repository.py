@@ -94,6 +94,22 @@ class OrbitRepository:
             raise NotFoundError("no such orbit")
         return row
 
+    def withdraw(self, orbit_id: str) -> OrbitRow:
+        """Return the orbit ``orbit_id``, which no calibration takes from now on; what was made with it keeps it."""
+        row = self.get(orbit_id)
+        if row.withdrawn_at is None:
+            row.withdrawn_at, row.withdrawn_by = utc_now(), self.caller.key_id
+            record_event(self.session, self.caller, "orbit.withdraw", row.id, self.satellite_id)
+        return row
+
+    def restore(self, orbit_id: str) -> OrbitRow:
+        """Return the orbit ``orbit_id``, in use again; to send it again does not do that."""
+        row = self.get(orbit_id)
+        if row.withdrawn_at is not None:
+            row.withdrawn_at = row.withdrawn_by = None
+            record_event(self.session, self.caller, "orbit.restore", row.id, self.satellite_id)
+        return row
+
     def page(self, query: OrbitQuery) -> tuple[list[OrbitRow], str | None]:
         """Return a part of the orbits, the newest first."""
         statement = select(OrbitRow).where(OrbitRow.satellite_id == self.satellite_id)
@@ -119,7 +135,7 @@ class OrbitRepository:
         OptionError
             There are more of them than one calibration takes; none is left out silently.
         """
-        own = select(OrbitRow).where(OrbitRow.satellite_id == self.satellite_id)
+        own = select(OrbitRow).where(OrbitRow.satellite_id == self.satellite_id, OrbitRow.withdrawn_at.is_(None))
         free = own.where(OrbitRow.until.is_(None))
         margin = timedelta(days=min(margin_days, NEAR_DAYS))
         inside = free.where(OrbitRow.epoch.between(begin - margin, end + margin)).order_by(OrbitRow.epoch)

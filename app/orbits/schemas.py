@@ -30,6 +30,7 @@ class OrbitRead(Record):
     details: dict[str, JsonValue]
     created_at: UtcTime
     created_by: str | None
+    withdrawn_at: UtcTime | None = Field(description="Since when no calibration takes it any more.")
     age_days: float | None = Field(None, description="With `at`: distance of the time asked for from the epoch, days.")
 
 

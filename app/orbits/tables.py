@@ -11,7 +11,7 @@ from app.storage.database import Base, JsonColumn
 
 
 class OrbitRow(Base):
-    """One source of position, with the text that it came as."""
+    """One source of position, with the text that it came as; one that is withdrawn serves nothing new."""
 
     __tablename__ = "orbit"
     __table_args__ = (
@@ -31,3 +31,5 @@ class OrbitRow(Base):
     details: Mapped[dict[str, object]] = mapped_column(JsonColumn)
     created_at: Mapped[datetime]
     created_by: Mapped[str | None] = mapped_column(String(32))
+    withdrawn_at: Mapped[datetime | None]
+    withdrawn_by: Mapped[str | None] = mapped_column(String(32))

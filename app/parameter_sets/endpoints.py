@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Any, Final
 
 from fastapi import APIRouter, Query, Request, Response
@@ -9,16 +10,17 @@ from starlette.concurrency import run_in_threadpool
 
 from app.access.authentication import Operator, Reader, authenticate
 from app.access.caller import Caller
-from app.errors import NotFoundError
+from app.errors import NotFoundError, StoredObjectCorruptError
 from app.http.dependencies import Blobs, Config, Db
 from app.http.entity_tags import UNCHANGED, is_known, tagged_json, unchanged
 from app.http.receiving import Upload, receive
-from app.http.schemas import Page
+from app.http.schemas import Name, Page
 from app.http.strict_json import StrictJsonRoute
 from app.http.tables import TABLES, TELEMETRY_BODY, table_response, wanted_format, write_table
 from app.parameter_sets.correction import Correction
 from app.parameter_sets.export import EXPORTERS, exported
-from app.parameter_sets.json_listing import found, listed, part
+from app.parameter_sets.json_listing import found, listed, part, summaries
+from app.parameter_sets.reasons import Subject, explained
 from app.parameter_sets.repository import ParameterSetRepository
 from app.parameter_sets.schemas import (
     ActivateBody,
@@ -26,12 +28,16 @@ from app.parameter_sets.schemas import (
     ExportQuery,
     ParameterSetQuery,
     ParameterSetRead,
+    ParameterSetSummary,
+    ReasonList,
+    ReasonRead,
     TableQuery,
 )
 from app.parameter_sets.tables import ParameterSet
 from app.records.arrow import from_bytes
 from app.satellites.tables import Magnetometer
 from app.sessions.sensor_reading import PLAIN, SensorReading, in_axes_of
+from app.sessions.tables import TelemetrySession
 from app.settings import Settings
 from app.storage.store import residuals_key
 from magcal_core.samples import Samples
@@ -39,12 +45,14 @@ from magcal_core.telemetry import MEDIA_TYPES, write_samples
 
 router = APIRouter(route_class=StrictJsonRoute, prefix="/parameter-sets", tags=["parameter sets"])
 
+READINGS: Final = re.compile(r"time|[bq][wxyz]|ref_.*|[xyz]_km")
+"""Columns that are no housekeeping."""
 EXPORTS: Final[dict[int | str, dict[str, Any]]] = {
     200: {"content": {media_type: {} for media_type, _ in EXPORTERS.values()}}
 }
 
 
-@router.get("", response_model=Page[ParameterSetRead], responses=UNCHANGED)
+@router.get("", response_model=Page[ParameterSetRead] | Page[ParameterSetSummary], responses=UNCHANGED)
 def list_parameter_sets(
     query: Annotated[ParameterSetQuery, Query()], request: Request, caller: Reader, db: Db
 ) -> Response:
@@ -53,8 +61,11 @@ def list_parameter_sets(
         wanted = listed(connection, caller, query)
         if is_known(request, wanted.tag):
             return unchanged(wanted.tag)
-        texts = request.app.state.texts.of(connection, wanted.sets)
-    return tagged_json(part(texts, wanted.cursor), wanted.tag)
+        if query.view == "summary":
+            texts = summaries(connection, wanted)
+        else:
+            texts = request.app.state.texts.of(connection, wanted.sets)
+    return tagged_json(part(texts, wanted), wanted.tag)
 
 
 @router.get("/{parameter_set_id}", response_model=ParameterSetRead, responses=UNCHANGED)
@@ -68,6 +79,27 @@ def get_parameter_set(parameter_set_id: str, request: Request, caller: Reader, d
     if not texts:  # removed with its satellite since it was found
         raise NotFoundError("no such parameter set")
     return tagged_json(texts[0], wanted.tag)
+
+
+@router.get("/{parameter_set_id}/reasons")
+def list_reasons(parameter_set_id: str, caller: Reader, db: Db) -> ReasonList:
+    """Say in plain words why the verdict is what it is: each reason with figure, limit and what may mend it."""
+    with db.read() as session:
+        sets = ParameterSetRepository(session, caller)
+        row = sets.get(parameter_set_id)
+        active = sets.in_force(row.satellite_id, row.magnetometer_id)
+        session_ids = sets.session_ids([row])[row.id]
+        columns = [session.get_one(TelemetrySession, one).columns for one in session_ids]
+    verdict, provenance = row.record["verdict"], row.record["provenance"]
+    if not isinstance(verdict, dict) or not isinstance(provenance, dict):
+        raise StoredObjectCorruptError("the parameter set's record has no verdict or no provenance")
+    housekeeping = [name for names in columns for name in names if not READINGS.fullmatch(name)]
+    options = provenance.get("options") or {}
+    subject = Subject(
+        row.id, row.satellite_id, session_ids, options, housekeeping, None if active is None else active.id
+    )
+    found = explained(verdict["reasons"], verdict.get("grades", []), subject)
+    return ReasonList(items=[ReasonRead.model_validate(one) for one in found])
 
 
 @router.get("/{parameter_set_id}/residuals", responses=TABLES)
@@ -106,12 +138,15 @@ def activate_parameter_set(
     db: Db,
     body: ActivateBody | None = None,
     force: Annotated[bool, Query(description="Also where the verdict is `refuse`.")] = False,
+    reason: Annotated[Name | None, Query(description="Why; required where the verdict is `refuse`.")] = None,
 ) -> ParameterSetRead:
     """Put a parameter set in force for its magnetometer; the one before is retired."""
     is_forced = force or (body is not None and body.force)
     with db.write() as session:
         sets = ParameterSetRepository(session, caller)
-        return sets.read([sets.activate(parameter_set_id, force=is_forced)])[0]
+        return sets.read(
+            [sets.activate(parameter_set_id, force=is_forced, reason=reason or (None if body is None else body.reason))]
+        )[0]
 
 
 @router.post("/{parameter_set_id}/rollback")

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
-from typing import Final
+from typing import Any, Final
 
 from sqlalchemy import ColumnElement, Connection, Text, cast, func, select, text
 
@@ -22,7 +22,7 @@ from app.errors import NotFoundError
 from app.http.paging import cut, part_of
 from app.http.schemas import utc_text
 from app.parameter_sets.repository import matching
-from app.parameter_sets.schemas import ParameterSetQuery
+from app.parameter_sets.schemas import ParameterSetQuery, ParameterSetSummary
 from app.parameter_sets.tables import ParameterSet, ParameterSetSession
 from app.satellites.repository import within_reach
 
@@ -44,19 +44,33 @@ class Listed:
 
     sets: Sequence[tuple[str, str]]
     cursor: str | None = None
+    total: int | None = None
+    view: str = "full"
 
     @property
     def tag(self) -> str:
         """The entity tag of the answer."""
-        told = "\n".join((_version(), self.cursor or "", *(f"{one} {status}" for one, status in self.sets)))
+        told = "\n".join(
+            (
+                _version(),
+                self.cursor or "",
+                str(self.total),
+                self.view,
+                *(f"{one} {status}" for one, status in self.sets),
+            )
+        )
         return f'"{hashlib.sha256(told.encode()).hexdigest()[:32]}"'
 
 
 def listed(connection: Connection, caller: Caller, query: ParameterSetQuery) -> Listed:
     """Return a part of the list, the newest first."""
     statement = select(ParameterSet.id, ParameterSet.status).where(*matching(query, caller))
-    rows, cursor = cut(list(connection.execute(part_of(statement, KEYS, query)).all()), KEYS, query)
-    return Listed([(row.id, row.status) for row in rows], cursor)
+    is_up = query.sort == "created"
+    rows, cursor = cut(list(connection.execute(part_of(statement, KEYS, query, is_up=is_up)).all()), KEYS, query)
+    total = None
+    if query.total:
+        total = connection.execute(select(func.count()).select_from(statement.subquery())).scalar_one()
+    return Listed([(row.id, row.status) for row in rows], cursor, total, query.view)
 
 
 def found(connection: Connection, caller: Caller, parameter_set_id: str) -> Listed:
@@ -97,9 +111,23 @@ class Texts:
         return read
 
 
-def part(texts: Sequence[bytes], cursor: str | None) -> bytes:
+def part(texts: Sequence[bytes], listed_sets: Listed) -> bytes:
     """Return a part of a list in JSON."""
-    return b'{"items":[%b],"next":%b}' % (b",".join(texts), json.dumps(cursor).encode())
+    total = b"" if listed_sets.total is None else b',"total":%d' % listed_sets.total
+    return b'{"items":[%b],"next":%b%b}' % (b",".join(texts), json.dumps(listed_sets.cursor).encode(), total)
+
+
+def summaries(connection: Connection, listed_sets: Listed) -> list[bytes]:
+    """Return each set of a list in JSON of under 500 bytes."""
+    record: Any = ParameterSet.record
+    own = ParameterSet
+    statement = select(
+        *(own.id, own.satellite_id, own.magnetometer_id, own.status, own.grade, own.method),
+        *(own.data_from, own.data_until, own.created_at, record["statistics"]["after"]["rms_nt"].as_float()),
+    ).where(own.id.in_([set_id for set_id, _ in listed_sets.sets]))
+    names = list(ParameterSetSummary.model_fields)
+    found = {row[0]: ParameterSetSummary(**dict(zip(names, row, strict=True))) for row in connection.execute(statement)}
+    return [found[set_id].model_dump_json().encode() for set_id, _ in listed_sets.sets]
 
 
 def _written(connection: Connection, statuses: dict[str, str]) -> dict[tuple[str, str], bytes]:

@@ -11,8 +11,8 @@ from sqlalchemy.orm import Session
 
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
-from app.errors import ConflictError, NotFoundError, RefusedVerdictError
-from app.http.paging import fetch_page
+from app.errors import ConflictError, NotFoundError, ReasonRequiredError, RefusedVerdictError
+from app.http.paging import fetch_page, has_part
 from app.outbox.events import Event, parameter_set_activated, parameter_set_created
 from app.outbox.log import append
 from app.parameter_sets.schemas import ParameterSetQuery, ParameterSetRead
@@ -100,16 +100,23 @@ class ParameterSetRepository:
             for row in rows
         ]
 
-    def activate(self, parameter_set_id: str, *, force: bool) -> ParameterSet:
-        """Return the parameter set, now the active one of its magnetometer; the one before is retired."""
+    def activate(self, parameter_set_id: str, *, force: bool, reason: str | None = None) -> ParameterSet:
+        """Return the parameter set, now the active one of its magnetometer; the one before is retired.
+
+        ``reason``: why, which the audit trail keeps; one that is refused is put in force with a reason alone.
+        """
         row = self.get(parameter_set_id)
         current = self._current(row)
         if row.status == "active":
             return row
         if row.grade == "refuse" and not force:
-            raise RefusedVerdictError("the verdict is refuse; send force=true to put it in force all the same")
+            raise RefusedVerdictError(
+                "the verdict is refuse; send force=true with a reason to put it in force all the same"
+            )
+        if row.grade == "refuse" and reason is None:
+            raise ReasonRequiredError("the verdict is refuse: say why it comes into force all the same (reason)")
         self._replace(current, row, None if current is None else current.id)
-        record_event(self.session, self.caller, "parameter_set.activate", row.id, row.satellite_id)
+        record_event(self.session, self.caller, "parameter_set.activate", row.id, row.satellite_id, reason=reason)
         return row
 
     def rollback(self, parameter_set_id: str) -> ParameterSet:
@@ -211,6 +218,8 @@ def matching(query: ParameterSetQuery, caller: Caller) -> list[ColumnElement[boo
         found.append(ParameterSet.data_until >= query.since)
     if query.until is not None:
         found.append(ParameterSet.data_from <= query.until)
+    if query.q is not None:
+        found.append(has_part(query.q, ParameterSet.id, ParameterSet.satellite_id, ParameterSet.magnetometer_id))
     if query.at is not None:
         found.append(ParameterSet.id.in_(_in_force(query.at, query, caller)))
     return found

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import ConfigDict, Field, JsonValue
 
-from app.http.schemas import Body, Filter, Identifier, Name, PageQuery, Record, Slug, UtcTime
+from app.http.schemas import Body, Filter, Identifier, Name, PageQuery, Record, Search, Slug, UtcTime
 
 Status = Literal["candidate", "active", "retired"]
 TableFormat = Literal["csv", "ndjson", "json", "parquet"]
@@ -17,6 +17,38 @@ class VerdictRead(Record):
 
     grade: Literal["accept", "weak", "refuse"]
     reasons: list[str]
+    grades: list[Literal["accept", "weak", "refuse"]] = Field(
+        default_factory=list, description="What each reason alone makes of it; none in sets from before it was kept."
+    )
+
+
+class CureRead(Record):
+    """A button: the call that it makes, or with GET the page that it goes to."""
+
+    label: str
+    method: Literal["GET", "POST"]
+    path: str
+    body: dict[str, JsonValue] | None
+
+
+class ReasonRead(Record):
+    """One reason of a verdict in plain words, and what may mend it."""
+
+    code: str
+    grade: Literal["accept", "weak", "refuse"] | None = Field(
+        description="Which limit it passed; null in sets from before it was kept."
+    )
+    sentence: str
+    figure: str = Field(description="The figure and its limit.")
+    advice: str
+    page: str = Field(description="Page of the service that says more of it.")
+    cure: CureRead | None
+
+
+class ReasonList(Record):
+    """The reasons of a verdict, the gravest first."""
+
+    items: list[ReasonRead]
 
 
 class ParametersRead(Record):
@@ -66,6 +98,21 @@ class ParameterSetRead(Record):
     provenance: dict[str, JsonValue]
 
 
+class ParameterSetSummary(Record):
+    """A parameter set in under 500 bytes, for lists."""
+
+    id: str
+    satellite: str
+    magnetometer: str
+    status: Status
+    grade: Literal["accept", "weak", "refuse"]
+    method: str
+    data_from: UtcTime
+    data_until: UtcTime
+    created_at: UtcTime
+    rms_nt: float | None = Field(description="Residual RMS of the fit, nT.")
+
+
 class ParameterSetQuery(PageQuery):
     """Which parameter sets to list."""
 
@@ -79,6 +126,9 @@ class ParameterSetQuery(PageQuery):
     since: UtcTime | None = Field(None, description="Made from data that reach to this time or beyond.")
     until: UtcTime | None = Field(None, description="Made from data that begin at this time or before.")
     at: UtcTime | None = Field(None, description="In force at this time.")
+    q: Search | None = Field(None, description="Part of an id of the set, its satellite or magnetometer.")
+    sort: Literal["created", "-created"] = Field("-created", description="`-created`: the newest first.")
+    view: Literal["full", "summary"] = Field("full", description="`summary`: a set in under 500 bytes.")
 
 
 class TableQuery(Filter):
@@ -104,4 +154,6 @@ class ActivateBody(Body):
     """How a parameter set is put in force."""
 
     force: bool = Field(False, description="Also where the verdict is `refuse`.")
-    reason: Name | None = None
+    reason: Name | None = Field(
+        None, description="Why; required where the verdict is `refuse`. The audit trail has it."
+    )

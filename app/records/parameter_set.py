@@ -27,10 +27,11 @@ class ParametersRecord(TypedDict):
 
 
 class VerdictRecord(TypedDict):
-    """The verdict in one word, with its reasons as ``code: text``."""
+    """The verdict in one word, with its reasons as ``code: text`` and what each alone makes of it."""
 
     grade: str
     reasons: list[str]
+    grades: NotRequired[list[str]]
 
 
 class ResidualStatisticsRecord(TypedDict):

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Query, Response
 
 from app.access.authentication import Operator, Reader
 from app.http.dependencies import Db
-from app.http.schemas import Page, PageQuery
+from app.http.schemas import Page
 from app.http.strict_json import StrictJsonRoute
 from app.satellites.reading import unit_of
 from app.satellites.repository import SatelliteRepository
@@ -20,6 +20,7 @@ from app.satellites.schemas import (
     Policy,
     SatelliteChange,
     SatelliteCreate,
+    SatelliteQuery,
     SatelliteRead,
 )
 from app.satellites.tables import Magnetometer, Satellite
@@ -44,6 +45,9 @@ def _satellite(row: Satellite, magnetometers: Sequence[Magnetometer]) -> Satelli
         norad_id=row.norad_id,
         cospar_id=row.cospar_id,
         retention_days=row.retention_days,
+        data_stale_days=row.data_stale_days,
+        orbit_stale_days=row.orbit_stale_days,
+        station_silent_hours=row.station_silent_hours,
         created_at=row.created_at,
         magnetometers=[_magnetometer(one) for one in magnetometers],
     )
@@ -59,13 +63,14 @@ def create_satellite(body: SatelliteCreate, caller: Operator, db: Db, response: 
 
 
 @router.get("")
-def list_satellites(query: Annotated[PageQuery, Query()], caller: Reader, db: Db) -> Page[SatelliteRead]:
+def list_satellites(query: Annotated[SatelliteQuery, Query()], caller: Reader, db: Db) -> Page[SatelliteRead]:
     """List the satellites, the newest first."""
     with db.read() as session:
         satellites = SatelliteRepository(session, caller)
         rows, cursor = satellites.page(query)
         sensors = satellites.magnetometers([row.id for row in rows])
-    return Page(items=[_satellite(row, sensors[row.id]) for row in rows], next=cursor)
+        total = satellites.total(query) if query.total else None
+    return Page(items=[_satellite(row, sensors[row.id]) for row in rows], next=cursor, total=total)
 
 
 @router.get("/{satellite_id}")
@@ -79,7 +84,7 @@ def get_satellite(satellite_id: str, caller: Reader, db: Db) -> SatelliteRead:
 
 @router.patch("/{satellite_id}")
 def change_satellite(satellite_id: str, body: SatelliteChange, caller: Operator, db: Db) -> SatelliteRead:
-    """Change a satellite's name or retention."""
+    """Change a satellite's name, NORAD id, retention or limits of age."""
     with db.write() as session:
         satellites = SatelliteRepository(session, caller)
         row = satellites.change(satellite_id, body)

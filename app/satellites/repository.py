@@ -4,16 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sqlalchemy import ColumnElement, select, true
+from sqlalchemy import ColumnElement, Select, select, true
 from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.errors import ConflictError, NotFoundError
-from app.http.paging import fetch_page
+from app.http.paging import counted, fetch_page, has_part
 from app.http.schemas import PageQuery
 from app.satellites.reading import changed
-from app.satellites.schemas import MagnetometerChange, MagnetometerCreate, SatelliteChange, SatelliteCreate
+from app.satellites.schemas import (
+    MagnetometerChange,
+    MagnetometerCreate,
+    SatelliteChange,
+    SatelliteCreate,
+    SatelliteQuery,
+)
 from app.satellites.tables import Magnetometer, Satellite
 from app.storage.database import utc_now
 
@@ -49,9 +55,21 @@ class SatelliteRepository:
         return row
 
     def page(self, query: PageQuery) -> tuple[list[Satellite], str | None]:
-        """Return a part of the satellites, the newest first."""
+        """Return a part of the satellites, the newest first unless asked otherwise."""
+        is_up = isinstance(query, SatelliteQuery) and query.sort == "created"
+        keys = (Satellite.created_at, Satellite.id)
+        return fetch_page(self.session, self._wanted(query), keys, query, is_up=is_up)
+
+    def total(self, query: PageQuery) -> int:
+        """Return how many satellites ``query`` asks for in all parts."""
+        return counted(self.session, self._wanted(query))
+
+    def _wanted(self, query: PageQuery) -> Select[Satellite]:
         statement = select(Satellite).where(within_reach(Satellite.id, self.caller))
-        return fetch_page(self.session, statement, (Satellite.created_at, Satellite.id), query)
+        if isinstance(query, SatelliteQuery) and query.q is not None:
+            own = Satellite
+            statement = statement.where(has_part(query.q, own.id, own.name, own.norad_id, own.cospar_id))
+        return statement
 
     def add_magnetometer(self, satellite_id: str, wanted: MagnetometerCreate) -> Magnetometer:
         """Return the new magnetometer ``wanted`` of a satellite."""

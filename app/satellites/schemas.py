@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import BeforeValidator, Field, StringConstraints, WithJsonSchema, model_validator
 from pydantic_core import PydanticCustomError
 
-from app.http.schemas import Body, Name, Record, Slug, UtcTime
+from app.http.schemas import Body, Name, PageQuery, Record, Search, Slug, UtcTime
 from app.records.calibration_options import CalibrationOptionsBody
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
@@ -96,7 +96,21 @@ class MagnetometerRead(Record):
     created_at: UtcTime
 
 
-class SatelliteCreate(Body):
+class SatelliteLimits(Body):
+    """From which age on a satellite's things need attention; what is not given is magcal's own."""
+
+    data_stale_days: float | None = Field(
+        None, gt=0, le=100_000, description="The newest reading may be so old, days; unset: 30."
+    )
+    orbit_stale_days: float | None = Field(
+        None, gt=0, le=100_000, description="The newest orbit may be so old, days; unset: 7."
+    )
+    station_silent_hours: float | None = Field(
+        None, gt=0, le=2_400_000, description="Nothing may have arrived for so long, h; unset: 72."
+    )
+
+
+class SatelliteCreate(SatelliteLimits):
     """A spacecraft."""
 
     id: Slug
@@ -108,11 +122,19 @@ class SatelliteCreate(Body):
     )
 
 
-class SatelliteChange(Body):
+class SatelliteChange(SatelliteLimits):
     """What may change about a spacecraft; what is left out stays."""
 
     name: Name | None = None
+    norad_id: NoradId | None = None
     retention_days: int | None = Field(None, ge=1, le=100_000)
+
+
+class SatelliteQuery(PageQuery):
+    """Which satellites to list."""
+
+    q: Search | None = Field(None, description="Part of an id, name or catalogue number.")
+    sort: Literal["created", "-created"] = Field("-created", description="`-created`: the newest first.")
 
 
 class MagnetometerChange(ReadingBody):
@@ -131,5 +153,8 @@ class SatelliteRead(Record):
     norad_id: str | None
     cospar_id: str | None
     retention_days: int | None
+    data_stale_days: float | None
+    orbit_stale_days: float | None
+    station_silent_hours: float | None
     created_at: UtcTime
     magnetometers: list[MagnetometerRead]

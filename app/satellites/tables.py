@@ -20,6 +20,9 @@ class Satellite(Base):
     norad_id: Mapped[str | None] = mapped_column(String(16))
     cospar_id: Mapped[str | None] = mapped_column(String(16))
     retention_days: Mapped[int | None]
+    data_stale_days: Mapped[float | None]
+    orbit_stale_days: Mapped[float | None]
+    station_silent_hours: Mapped[float | None]
     created_at: Mapped[datetime]
 
 

@@ -15,30 +15,32 @@ from app.http.strict_json import StrictJsonRoute
 from app.http.tables import TABLES, table_response, wanted_format
 from app.satellites.repository import SatelliteRepository
 from app.sessions.repository import SessionRepository, samples_of
-from app.sessions.schemas import (
-    ChunkRead,
-    SampleQuery,
-    SessionDetail,
-    SessionQuery,
-    SessionRead,
-)
-from app.sessions.tables import TelemetrySession
+from app.sessions.schemas import AgreementRead, ChunkRead, SampleQuery, SessionDetail, SessionQuery, SessionRead
+from app.sessions.tables import SessionMonitoring, TelemetrySession
 from magcal_core.telemetry import write_samples
 
 router = APIRouter(route_class=StrictJsonRoute, tags=["sessions"])
 
 
-def session_read(row: TelemetrySession, job_id: str | None = None) -> SessionRead:
+def session_read(
+    row: TelemetrySession, job_id: str | None = None, judged: SessionMonitoring | None = None
+) -> SessionRead:
     """Return a session as the service serves it."""
-    return SessionRead.model_validate(_values(row) | {"job_id": job_id})
+    return SessionRead.model_validate(_values(row, judged) | {"job_id": job_id})
 
 
-def _values(row: TelemetrySession) -> dict[str, object]:
-    same = set(SessionRead.model_fields) - {"satellite", "magnetometer", "job_id"}
+def _values(row: TelemetrySession, judged: SessionMonitoring | None) -> dict[str, object]:
+    same = set(SessionRead.model_fields) - {"satellite", "magnetometer", "job_id", "monitoring"}
     return {name: getattr(row, name) for name in same} | {
         "satellite": row.satellite_id,
         "magnetometer": row.magnetometer_id,
+        "monitoring": None if judged is None else _agreement(judged),
     }
+
+
+def _agreement(judged: SessionMonitoring) -> AgreementRead:
+    own = {name: getattr(judged, name) for name in AgreementRead.model_fields if name != "reasons"}
+    return AgreementRead.model_validate(own | {"reasons": judged.record.get("reasons", [])})
 
 
 def require_satellite(satellite_id: str, caller: Caller, db: Db) -> None:
@@ -51,8 +53,11 @@ def require_satellite(satellite_id: str, caller: Caller, db: Db) -> None:
 def list_sessions(query: Annotated[SessionQuery, Query()], caller: Reader, db: Db) -> Page[SessionRead]:
     """List the sessions, the newest first."""
     with db.read() as session:
-        rows, cursor = SessionRepository(session, caller).page(query)
-    return Page(items=[session_read(row) for row in rows], next=cursor)
+        sessions = SessionRepository(session, caller)
+        rows, cursor = sessions.page(query)
+        judged = sessions.judgements([row.id for row in rows])
+        total = sessions.total(query) if query.total else None
+    return Page(items=[session_read(row, judged=judged.get(row.id)) for row in rows], next=cursor, total=total)
 
 
 @router.get("/satellites/{satellite_id}/sessions")
@@ -74,7 +79,8 @@ def get_session(session_id: str, caller: Reader, db: Db) -> SessionDetail:
             ChunkRead.model_validate({name: getattr(chunk, name) for name in ChunkRead.model_fields})
             for chunk in sessions.chunks(session_id)
         ]
-    return SessionDetail.model_validate(_values(row) | {"chunks": chunks})
+        judged = sessions.judgements([row.id]).get(row.id)
+    return SessionDetail.model_validate(_values(row, judged) | {"chunks": chunks})
 
 
 @router.get("/sessions/{session_id}/samples", responses=TABLES)

@@ -3,34 +3,30 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from typing import Final
 
-import numpy as np
-from sqlalchemy import and_, bindparam, func, select
+from sqlalchemy import Select, and_, bindparam, func, select
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
 from app.access.audit_trail import NEW_EVENT, event_of, record_event
 from app.access.caller import Caller
 from app.errors import ConflictError, ExpiredError, NotFoundError, QuotaError
-from app.http.paging import fetch_page
-from app.http.receiving import Upload
-from app.http.unkeepable import has_unkeepable
+from app.http.paging import counted, fetch_page, has_part
 from app.satellites.repository import within_reach
 from app.satellites.tables import Magnetometer, Satellite
-from app.sessions.chunk_format import decode, encode
+from app.sessions.chunk_format import decode
+from app.sessions.parsed import Parsed
 from app.sessions.restoration import restore
 from app.sessions.schemas import SessionQuery
-from app.sessions.sensor_reading import column_names
-from app.sessions.tables import Chunk, TelemetrySession
+from app.sessions.tables import Chunk, SessionMonitoring, TelemetrySession
 from app.storage.database import new_id, utc_now
-from app.storage.store import Packed, Store, columns_key, digest, raw_key
-from magcal_core.errors import TelemetryFormatError
+from app.storage.store import Packed, Store, columns_key, raw_key
 from magcal_core.samples import Samples
-from magcal_core.telemetry import Telemetry, merge_samples
+from magcal_core.telemetry import merge_samples
 
 DAY: Final = timedelta(days=1)
 SESSIONS: Final = TelemetrySession.metadata.tables["session"]
@@ -61,70 +57,6 @@ PLACE: Final = (
     .where(SATELLITES.c.id == bindparam("satellite_id"))
 )
 """Satellite, magnetometer and session of certain bytes, as far as there are any: made once, asked in one go."""
-
-
-@dataclass(frozen=True, slots=True)
-class Parsed:
-    """An upload with what was read from it, all that is written of it ready before a transaction begins."""
-
-    raw: Packed
-    columns: Packed
-    media_type: str
-    telemetry: Telemetry
-    format: str
-    reading: dict[str, object] | None = None
-
-    @classmethod
-    def of(
-        cls,
-        upload: Upload,
-        telemetry: Telemetry,
-        form: str,
-        store: Store,
-        raw: Packed | None = None,
-        *,
-        reading: dict[str, object] | None = None,
-    ) -> Parsed:
-        """Return the upload with its samples, encoded; ``raw`` where its bytes have been packed already.
-
-        ``reading`` is how its bytes were read.
-        """
-        if any(map(has_unkeepable, column_names(telemetry.samples))):
-            raise TelemetryFormatError("a column's name has a NUL or a character that is none")
-        columns = encode(telemetry.samples)
-        return cls(
-            store.pack(upload.content, upload.sha256) if raw is None else raw,
-            store.pack(columns, digest(columns)),
-            upload.media_type[:200],
-            telemetry,
-            form,
-            reading,
-        )
-
-    def added_to(self, row: TelemetrySession | None) -> dict[str, object]:
-        """Return what a session says of its telemetry once this is added to it; ``row`` is None before the first."""
-        samples, quality = self.telemetry.samples, self.telemetry.quality
-        first, last = _instant(samples.t_utc[0]), _instant(samples.t_utc[-1])
-        alone: dict[str, object] = {
-            "data_from": first,
-            "data_until": last,
-            "samples": len(samples),
-            "used_samples": quality.used,
-            "size_bytes": len(self.raw.content),
-            "columns": column_names(samples),
-            "quality": quality.to_dict(),
-        }
-        if row is None or row.data_from is None or row.data_until is None:
-            return alone
-        return {
-            "data_from": min(first, row.data_from),
-            "data_until": max(last, row.data_until),
-            "samples": row.samples + len(samples),
-            "used_samples": row.used_samples + quality.used,
-            "size_bytes": row.size_bytes + len(self.raw.content),
-            "columns": list(dict.fromkeys([*row.columns, *column_names(samples)])),
-            "quality": _summed(row.quality, quality.to_dict()),
-        }
 
 
 NOTHING: Final[dict[str, object]] = {
@@ -190,7 +122,15 @@ class SessionRepository:
         return row
 
     def page(self, query: SessionQuery) -> tuple[list[TelemetrySession], str | None]:
-        """Return a part of the sessions, the newest first."""
+        """Return a part of the sessions, the newest first unless asked otherwise."""
+        wanted = self._wanted(query)
+        return fetch_page(self.session, wanted, (TelemetrySession.id,), query, is_up=query.sort == "arrived")
+
+    def total(self, query: SessionQuery) -> int:
+        """Return how many sessions ``query`` asks for in all parts."""
+        return counted(self.session, self._wanted(query))
+
+    def _wanted(self, query: SessionQuery) -> Select[TelemetrySession]:
         statement = select(TelemetrySession).where(within_reach(TelemetrySession.satellite_id, self.caller))
         equal = {
             TelemetrySession.satellite_id: query.satellite,
@@ -205,7 +145,29 @@ class SessionRepository:
             statement = statement.where(TelemetrySession.data_until >= query.since)
         if query.until is not None:
             statement = statement.where(TelemetrySession.data_from <= query.until)
-        return fetch_page(self.session, statement, (TelemetrySession.id,), query)
+        if query.agreement is not None:
+            judged = select(SessionMonitoring.session_id).where(SessionMonitoring.grade == query.agreement)
+            statement = statement.where(TelemetrySession.id.in_(judged))
+        if query.q is not None:
+            own = TelemetrySession
+            statement = statement.where(has_part(query.q, own.id, own.satellite_id, own.magnetometer_id))
+        return statement
+
+    def judgements(self, session_ids: Sequence[str]) -> dict[str, SessionMonitoring]:
+        """Return what each of ``session_ids`` that was judged says of the set that was in force then."""
+        rows = self.session.scalars(select(SessionMonitoring).where(SessionMonitoring.session_id.in_(session_ids)))
+        return {row.session_id: row for row in rows}
+
+    def judge(self, session_id: str, parameter_set_id: str, record: Mapping[str, object]) -> None:
+        """Keep what a session says of the parameter set in force in place of what it said before."""
+        row = self.session.get(SessionMonitoring, session_id)
+        if row is None:
+            row = SessionMonitoring(session_id=session_id)
+            self.session.add(row)
+        row.parameter_set_id, row.grade, row.judged_at = parameter_set_id, str(record["grade"]), utc_now()
+        row.record = dict(record)
+        row.residual_rms_nt = _number(record.get("residual_rms_nt"))
+        row.residual_ratio = _number(record.get("residual_ratio"))
 
     def place_of(self, satellite_id: str, magnetometer_id: str, sha256: str | None) -> tuple[Magnetometer, str | None]:
         """Return the magnetometer of an upload, and the id of the session that its bytes are already, if there is one.
@@ -364,18 +326,5 @@ def identity(chunks: Sequence[Chunk]) -> str:
     return hashlib.sha256("\n".join(chunk.sha256 for chunk in chunks).encode()).hexdigest()
 
 
-def _instant(t_utc: np.datetime64) -> datetime:
-    microseconds = int(t_utc.astype("datetime64[us]").astype(np.int64))
-    return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=microseconds)
-
-
-def _summed(before: dict[str, object], added: dict[str, object]) -> dict[str, object]:
-    """Return the counts of two quality reports added up; what cannot be added is left out."""
-    summed: dict[str, object] = {}
-    for name, value in before.items():
-        other = added.get(name)
-        if isinstance(value, int) and isinstance(other, int):
-            summed[name] = value + other
-        elif isinstance(value, dict) and isinstance(other, dict):
-            summed[name] = {key: value.get(key, 0) + other.get(key, 0) for key in (*value, *other)}
-    return summed
+def _number(value: object) -> float | None:
+    return float(value) if isinstance(value, int | float) else None

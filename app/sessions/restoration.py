@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
+from app.sessions.parsed import Parsed
 from app.sessions.tables import Chunk, TelemetrySession
 from app.storage.database_store import is_whole as is_object_whole
 from app.storage.database_store import keep_after_all
 from app.storage.store import Store, columns_key, raw_key
-
-if TYPE_CHECKING:
-    from app.sessions.repository import Parsed
 
 
 def is_whole(session: Session, row: TelemetrySession, sha256: str, store: Store) -> bool:

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field, JsonValue
 
-from app.http.schemas import Filter, PageQuery, Record, Slug, UtcTime
+from app.http.schemas import Filter, PageQuery, Record, Search, Slug, UtcTime
 
 
 class ChunkRead(Record):
@@ -18,6 +18,17 @@ class ChunkRead(Record):
     format: str
     samples: int
     created_at: UtcTime
+
+
+class AgreementRead(Record):
+    """Whether a session agrees with the parameter set that was in force when it was judged last."""
+
+    parameter_set_id: str
+    grade: Literal["agrees", "watch", "disagrees", "too_short", "not_judged"]
+    reasons: list[str]
+    residual_rms_nt: float | None = Field(description="Residual of |B| under that set, nT.")
+    residual_ratio: float | None = Field(description="Over the residual of that set on its own data.")
+    judged_at: UtcTime
 
 
 class SessionRead(Record):
@@ -39,6 +50,9 @@ class SessionRead(Record):
     created_at: UtcTime
     created_by: str | None
     closed_at: UtcTime | None
+    monitoring: AgreementRead | None = Field(
+        None, description="Against the set in force: made when the session arrives and when a set is activated."
+    )
     job_id: str | None = Field(None, description="The job that the magnetometer's policy queued for this session.")
 
 
@@ -75,6 +89,11 @@ class SessionQuery(PageQuery):
     sha256: str | None = Field(None, pattern="^[0-9a-f]{64}$")
     since: UtcTime | None = None
     until: UtcTime | None = None
+    q: Search | None = Field(None, description="Part of an id of the session, its satellite or magnetometer.")
+    sort: Literal["arrived", "-arrived"] = Field("-arrived", description="`-arrived`: the newest first.")
+    agreement: Literal["agrees", "watch", "disagrees", "too_short", "not_judged"] | None = Field(
+        None, description="With the set in force, as judged last."
+    )
 
 
 class SampleQuery(Filter):

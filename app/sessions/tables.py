@@ -29,6 +29,7 @@ class TelemetrySession(Base):
         Index(None, "satellite_id", "data_from"),
         Index(None, "satellite_id", "id"),
         Index(None, "satellite_id", "magnetometer_id", "id"),
+        Index(None, "satellite_id", "magnetometer_id", "data_until"),
     )
 
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
@@ -47,6 +48,23 @@ class TelemetrySession(Base):
     created_at: Mapped[datetime]
     created_by: Mapped[str | None] = mapped_column(String(32))
     closed_at: Mapped[datetime | None]
+
+
+class SessionMonitoring(Base):
+    """What a session says of the parameter set that was in force when it was judged last; nothing is refitted."""
+
+    __tablename__ = "session_monitoring"
+    __table_args__ = (
+        CheckConstraint("grade IN ('agrees', 'watch', 'disagrees', 'too_short', 'not_judged')", name="grade"),
+    )
+
+    session_id: Mapped[str] = mapped_column(ForeignKey("session.id"), primary_key=True)
+    parameter_set_id: Mapped[str] = mapped_column(String(32))
+    grade: Mapped[str] = mapped_column(String(16))
+    residual_rms_nt: Mapped[float | None]
+    residual_ratio: Mapped[float | None]
+    record: Mapped[dict[str, object]] = mapped_column(JsonColumn)
+    judged_at: Mapped[datetime]
 
 
 class Chunk(Base):

@@ -26,7 +26,8 @@ from app.outbox.log import append
 from app.satellites.repository import SatelliteRepository
 from app.satellites.schemas import Policy
 from app.satellites.tables import Magnetometer
-from app.sessions.repository import Parsed, SessionRepository, Writing
+from app.sessions.parsed import Parsed
+from app.sessions.repository import SessionRepository, Writing
 from app.sessions.restoration import is_whole, restore
 from app.sessions.schemas import UploadQuery
 from app.sessions.sensor_reading import SensorReading, format_of

@@ -15,11 +15,19 @@ class Reason:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What magcal says of a parameter set in one word, ``accept``, ``weak`` or ``refuse``, with the reasons."""
+    """What magcal says of a parameter set in one word, ``accept``, ``weak`` or ``refuse``, with the reasons.
+
+    ``grades``: what each reason alone makes of it, in the order of the reasons.
+    """
 
     grade: str
     reasons: tuple[Reason, ...]
+    grades: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, object]:
         """Return the verdict as the records of the service have it."""
-        return {"grade": self.grade, "reasons": [f"{reason.code}: {reason.text}" for reason in self.reasons]}
+        return {
+            "grade": self.grade,
+            "reasons": [f"{reason.code}: {reason.text}" for reason in self.reasons],
+            "grades": list(self.grades),
+        }

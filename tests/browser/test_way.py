@@ -89,7 +89,7 @@ def test_from_an_empty_service_to_an_activated_set_and_back(
     page.goto(f"{empty.url}/")
     row = page.get_by_role("region", name="Satellites").locator("tbody tr")
     expect(row).to_contain_text("accept")
-    expect(row.locator("td").nth(7)).to_contain_text(" nT")
+    expect(row.locator("td").nth(6)).to_contain_text(" nT")
     context.close()
     window.check()
 

@@ -1,14 +1,16 @@
-// The queue, live: progress, cancel, retry.
-import { ago, h, listed, may, notice, painted, short, show, start, state, time } from "./magcal.js";
-import { cancel, ENDED, retry, watch } from "./job.js";
-import { table } from "./table.js";
+// The queue, live: searched, filtered and counted by the service; progress, cancel, retry.
+import { ago, grade, h, may, notice, short, show, start, state, time } from "./magcal.js";
+import { cancel, ENDED, retry } from "./job.js";
+import { listing } from "./listing.js";
 
-const MOST_WATCHED = 4; // browsers keep six connections to one server
-const FIRST = 50;
-const MOST = 500;
+const WORDS = { queued: "queued", running: "running", succeeded: "succeeded", failed: "failed", cancelled: "cancelled" };
+const ACTIVE_MS = 2000;
+const IDLE_MS = 10000;
 
 function result(job) {
-  if (job.result?.parameter_set_id) return h("a", { href: `/parameter-sets/${job.result.parameter_set_id}` }, `set ${short(job.result.parameter_set_id)}`);
+  const set = job.result?.parameter_set_id;
+  if (set && job.verdict) return h("a", { href: `/parameter-sets/${set}` }, grade(job.verdict), ` set ${short(set)}`);
+  if (set) return h("a", { href: `/parameter-sets/${set}` }, `set ${short(set)}`);
   if (job.error) return h("details", {}, h("summary", {}, job.error.code), job.error.detail);
   return "–";
 }
@@ -25,46 +27,32 @@ function actions(job, again) {
 }
 
 const columns = (again) => [
-  { name: "job", value: (r) => r.id, show: (r) => short(r.id) },
-  { name: "kind", value: (r) => r.kind },
-  { name: "state", value: (r) => r.state, show: (r) => state(r.state) },
-  { name: "progress", numeric: true, value: (r) => r.progress, show: (r) => r.state === "failed" || r.state === "cancelled" ? "–" : h("progress", { max: 1, value: r.progress, "aria-label": `Progress of ${short(r.id)}` }) },
-  { name: "satellite", value: (r) => r.satellite, show: (r) => r.satellite ? h("a", { href: `/satellites/${r.satellite}` }, r.satellite) : "–" },
-  { name: "session", value: (r) => r.session_ids[0], show: (r) => r.session_ids.length ? h("a", { href: `/sessions/${r.session_ids[0]}` }, short(r.session_ids[0]),
-    r.session_ids.length > 1 ? ` and ${r.session_ids.length - 1} more` : "") : "–" },
-  { name: "method", value: (r) => r.options.method ?? "" },
-  { name: "created", value: (r) => r.created_at, show: (r) => h("span", { title: time(r.created_at) }, ago(r.created_at)) },
-  { name: "attempts", numeric: true, value: (r) => r.attempts },
+  { name: "job", sort: "created", value: (r) => r.id, show: (r) => [short(r.id), h("small", { title: time(r.created_at) }, ago(r.created_at))] },
+  { name: "state", value: (r) => r.state, show: (r) => [state(r.verdict === "refuse" ? "refused" : r.state),
+    r.state === "running" ? h("progress", { max: 1, value: r.progress, "aria-label": `Progress of ${short(r.id)}` }) : null] },
   { name: "result", value: (r) => r.result?.parameter_set_id ?? r.error?.code ?? "", show: result },
   { name: "action", value: () => "", show: (r) => actions(r, again) },
+  { name: "satellite", value: (r) => r.satellite, show: (r) => (r.satellite ? h("a", { href: `/satellites/${r.satellite}` }, r.satellite) : "–") },
+  { name: "magnetometer", value: (r) => r.magnetometer },
+  { name: "kind", value: (r) => r.kind, show: (r) => [r.kind, r.options.method ? h("small", {}, r.options.method) : null] },
+  { name: "session", value: (r) => r.session_ids[0], show: (r) => (r.session_ids.length ? [h("a", { href: `/sessions/${r.session_ids[0]}` }, short(r.session_ids[0])),
+    r.session_ids.length > 1 ? ` and ${r.session_ids.length - 1} more` : ""] : "–") },
+  { name: "attempts", numeric: true, value: (r) => r.attempts },
 ];
 
 start(async () => {
-  const place = h("div");
-  let sources = [];
   let timer = null;
-  let known = "";
-  async function draw(most = MOST) {
+  let isActive = false;
+  const list = listing("/jobs", columns(() => draw()), {
+    caption: "Jobs", file: "jobs", sort: "-created", given: { total: "true" }, empty: "No job yet. A calibration is started on a session's page.",
+    facets: [{ name: "state", label: "State", values: WORDS, of: (answer) => answer.counts }],
+    changed: (answer) => { isActive = Boolean(answer.counts.queued || answer.counts.running); },
+  });
+  async function draw() {
     clearTimeout(timer);
-    sources.forEach((source) => source.close());
-    const jobs = await listed("/jobs", most);
-    const isRead = place.querySelector("details[open]") && known === JSON.stringify(jobs);
-    known = JSON.stringify(jobs);
-    if (place.firstChild?.renew && !isRead) place.firstChild.renew(jobs);
-    else if (!isRead) place.replaceChildren(table(columns(() => draw()), jobs, { caption: "Jobs", file: "jobs", empty: "No job yet. A calibration is started on a session's page." }));
-    const active = jobs.filter((job) => !ENDED.has(job.state));
-    sources = active.slice(0, MOST_WATCHED).map((job) => {
-      let last = job.state;
-      return watch(job.id, (now) => {
-        const bar = place.querySelector(`progress[aria-label="Progress of ${short(now.id)}"]`);
-        if (bar) bar.value = now.progress;
-        if (now.state !== last) { last = now.state; draw(); }
-      });
-    });
-    timer = setTimeout(draw, active.length > MOST_WATCHED ? 3000 : 10000);
+    await list.refresh();
+    timer = setTimeout(() => (document.hidden ? (timer = setTimeout(draw, IDLE_MS)) : draw()), isActive ? ACTIVE_MS : IDLE_MS);
   }
-  show(h("h1", {}, "Jobs"), place);
-  await draw(FIRST);
-  await painted();
+  show(h("h1", {}, "Jobs"), list);
   await draw();
 });

@@ -98,6 +98,14 @@ export function grade(name) {
   return name ? h("span", { class: `badge ${name}` }, `${SYMBOLS[name] ?? ""} ${name}`) : "–";
 }
 
+// Whether a session agrees with the set in force: its grade as classes, signs and words.
+export const AGREEMENTS = { disagrees: "refuse", watch: "weak", agrees: "accept", too_short: "", not_judged: "" };
+export const AGREEMENT_SIGNS = { disagrees: "✕", watch: "◆", agrees: "●", too_short: "·", not_judged: "?" };
+
+export function agreement({ grade: name }) {
+  return h("span", { class: `badge ${AGREEMENTS[name]}` }, `${AGREEMENT_SIGNS[name]} ${name.replaceAll("_", " ")}`);
+}
+
 export function state(name) {
   return h("span", { class: `badge state-${name}` }, name);
 }
@@ -161,12 +169,12 @@ export function field(name, label, attributes = {}, ...options) {
 export const option = (value, text = value, selected = false) => h("option", { value, selected }, text);
 
 // A question in a modal dialog; resolves to true where it is confirmed.
-export function confirm(heading, content, label) {
+export function confirm(heading, content, label, { isGrey = false } = {}) {
   return new Promise((resolve) => {
     const dialog = h("dialog", { "aria-labelledby": "dialog-title" }, h("form", { method: "dialog" },
       h("h2", { id: "dialog-title" }, heading), content,
-      h("div", { class: "actions" }, h("button", { value: "yes", class: "primary" }, label),
-        h("button", { value: "no", autofocus: true }, "Keep as it is"))));
+      h("div", { class: "actions" }, h("button", { value: "yes", class: isGrey ? "grey" : "primary" }, label),
+        h("button", { value: "no", autofocus: true, formnovalidate: true }, "Keep as it is"))));
     dialog.addEventListener("close", () => {
       dialog.remove();
       resolve(dialog.returnValue === "yes");
@@ -184,6 +192,23 @@ export async function start(build) {
     show(h("h1", {}, problem.body.status === 404 ? "Not found" : "This cannot be shown"), problemTable(problem),
       h("p", {}, h("a", { href: "/" }, "To the satellites")));
   }
+}
+
+// What needs attention, counted in the header of every page.
+export function counters(counts) {
+  for (const [name, sign] of [["act", "✕"], ["watch", "◆"]]) {
+    const node = document.querySelector(`.counter.${name}`);
+    if (!node) continue;
+    node.textContent = `${sign} ${counts[name]}`;
+    node.setAttribute("aria-label", `${counts[name]} ${name === "act" ? "to do" : "to watch"}`);
+    node.classList.toggle("none", counts[name] === 0);
+  }
+}
+
+if (document.querySelector(".counter") && location.pathname !== "/") {
+  setInterval(() => {
+    if (!document.hidden) api("/attention?limit=1").then((answer) => counters(answer.counts), () => {});
+  }, 30000);
 }
 
 const toggle = document.getElementById("theme");

@@ -1,6 +1,8 @@
 // One parameter set: the verdict and its reasons first, then numbers, then figures; activate and roll back.
 import { api, confirm, facts, fixed, form, field, grade, h, listed, may, notice, nt, option, section, short, show, start, SYMBOLS, tiles, time, title } from "./magcal.js";
 import { differenceTable, parameterTable, statisticsTable } from "./parameters.js";
+import { follow } from "./job.js";
+import { notes } from "./notes.js";
 import { plot, whenNear } from "./plot.js";
 import { whatIf } from "./refit.js";
 import { table } from "./table.js";
@@ -15,13 +17,16 @@ async function activeOf(record) {
 
 async function activate(record) {
   const active = await activeOf(record);
+  const isRefused = record.verdict.grade === "refuse";
+  const reason = h("input", { id: "why", required: true, maxlength: 200 });
   const content = [
     h("p", {}, `${record.satellite}, ${record.magnetometer}: this set (`, grade(record.verdict.grade), ") comes into force for the magnetometer at once. ",
       active ? `The one in force, ${short(active.id)}, is retired; a rollback brings it back.` : "None is in force now."),
-    record.verdict.grade === "refuse" ? h("p", { class: "notice refuse" }, "Its verdict is refuse. Activate it only if you know better.") : null,
+    isRefused ? h("p", { class: "notice refuse" }, "Its verdict is refuse. The reason that you give here is kept in the audit trail.") : null,
+    isRefused ? h("div", { class: "stack" }, h("label", { for: "why" }, "Why it comes into force all the same"), reason) : null,
     active ? [await rollout(), differenceTable(active, record)] : parameterTable(record)];
-  if (!await confirm("Activate this parameter set?", content, "Activate")) return;
-  await change(record, "activate", record.verdict.grade === "refuse" ? { force: true } : {});
+  if (!await confirm("Activate this parameter set?", content, isRefused ? "Put the refused set in force" : "Activate", { isGrey: isRefused })) return;
+  await change(record, "activate", isRefused ? { force: true, reason: reason.value } : {});
 }
 
 // By how much the corrected field changes with this set, today and at the end of its life.
@@ -51,16 +56,47 @@ async function change(record, verb, json = undefined) {
 
 function buttons(record) {
   const made = [];
-  if (may("operate") && record.status !== "active") made.push(h("button", { class: "primary", onclick: () => activate(record) }, "Activate …"));
+  if (may("operate") && record.status !== "active") made.push(record.verdict.grade === "refuse"
+    ? h("button", { class: "grey", onclick: () => activate(record) }, "Activate although refused …")
+    : h("button", { class: "primary", onclick: () => activate(record) }, "Activate …"));
   if (may("operate") && record.status === "active") made.push(h("button", { onclick: () => rollback(record) }, "Roll back …"));
   made.push(h("a", { class: "button", href: `/api/v1/parameter-sets/${record.id}/report` }, "Report"));
   return h("div", { class: "actions" }, made);
 }
 
+// Each reason as a sentence with its figure, which limit it passed, and the button that may mend it; codes small behind.
+function reasonsOf(record, reasons) {
+  const place = h("div", {}, h("ul", {}, reasons.map((reason) => h("li", {}, reason))));
+  api(`/parameter-sets/${record.id}/reasons`).then(({ items }) => place.replaceChildren(...items.map((one) => h("div", { class: "reason" },
+    h("strong", {}, one.sentence), ` ${one.figure} `, one.grade && one.grade !== "accept" ? h("span", { class: `badge ${one.grade}` }, one.grade === "refuse" ? "limit of refuse" : "limit of weak") : null, " ",
+    h("a", { href: one.page }, h("code", {}, one.code)), cure(one.cure), h("small", {}, `What to do: ${one.advice}.`)))), () => {});
+  return place;
+}
+
+function cure(offered) {
+  if (!offered) return null;
+  if (offered.method === "GET") return h("span", { class: "actions" }, h("a", { class: "button", href: offered.path }, offered.label));
+  if (!may("operate")) return null;
+  const place = h("span", { class: "actions" });
+  place.append(h("button", { type: "button", onclick: async (event) => {
+    event.target.disabled = true;
+    try {
+      const job = await api(offered.path.replace("/api/v1", ""), { method: "POST", json: offered.body });
+      place.replaceChildren(follow(job, (ended) => {
+        if (ended.state === "succeeded") location.href = `/parameter-sets/${ended.result.parameter_set_id}`;
+      }));
+    } catch (problem) {
+      event.target.disabled = false;
+      notice(problem.message, "refuse");
+    }
+  } }, offered.label));
+  return place;
+}
+
 function verdict(record) {
   const { grade: name, reasons } = record.verdict;
   return h("section", { class: `verdict ${name}`, "aria-label": "Verdict" }, h("div", { class: "word" }, `${SYMBOLS[name]} ${name}`),
-    reasons.length ? h("ul", {}, reasons.map((reason) => h("li", {}, reason))) : null,
+    reasonsOf(record, reasons),
     record.advice?.length ? [h("h2", {}, "Advice"), h("ul", {}, record.advice.map((one) => h("li", {}, one)))] : null,
     record.warnings.length ? [h("h2", {}, "Warnings"), h("ul", {}, record.warnings.map((warning) => h("li", {}, warning)))] : null);
 }
@@ -201,6 +237,7 @@ async function draw() {
     candidates(record),
     section("Compare", others),
     section("Export for flight software", exporter(record)),
+    notes(`/parameter-sets/${id}`),
     section("Provenance", provenance(record)));
   whenNear(others, async () => {
     const rows = await listed(`/satellites/${record.satellite}/history?magnetometer=${encodeURIComponent(record.magnetometer)}`, 1000);

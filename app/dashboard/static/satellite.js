@@ -1,5 +1,7 @@
 // One satellite: state, history, sessions, parameter sets, orbits, upload.
-import { age, api, field, fixed, form, grade, h, listed, may, notice, nt, option, painted, section, short, show, start, tiles, time, title } from "./magcal.js";
+import { age, agreement, AGREEMENTS, AGREEMENT_SIGNS, api, field, fixed, form, grade, h, listed, may, notice, nt, option, painted, section, short, show, start, tiles, time, title } from "./magcal.js";
+import { lines } from "./attention.js";
+import { notes } from "./notes.js";
 import { plot, replot } from "./plot.js";
 import { table } from "./table.js";
 import { uploader } from "./upload.js";
@@ -26,6 +28,7 @@ const SESSION_COLUMNS = [
   { name: "samples", numeric: true, value: (r) => r.samples },
   { name: "used", numeric: true, value: (r) => r.used_samples },
   { name: "verdict of its newest set", value: (r) => r.grade, show: (r) => r.grade ? h("a", { href: `/parameter-sets/${r.set_id}` }, grade(r.grade)) : "–" },
+  { name: "agrees with the set in force", value: (r) => r.monitoring?.grade, show: (r) => (r.monitoring ? agreement(r.monitoring) : "–") },
   { name: "received", value: (r) => r.created_at, show: (r) => time(r.created_at) },
 ];
 
@@ -44,12 +47,51 @@ export const SET_COLUMNS = [
   { name: "created", value: (r) => r.created_at, show: (r) => time(r.created_at) },
 ];
 
-const ORBIT_COLUMNS = [
+const ORBIT_COLUMNS = (own, again) => [
   { name: "epoch", value: (r) => r.epoch, show: (r) => time(r.epoch) },
   { name: "format", value: (r) => r.format },
   { name: "name", value: (r) => r.name },
+  { name: "NORAD id", value: (r) => r.details.norad_id, show: (r) => (isOther(r, own) ? h("strong", { class: "badge refuse" }, `✕ ${r.details.norad_id}, not ${own}`) : r.details.norad_id ?? "–") },
   { name: "received", value: (r) => r.created_at, show: (r) => time(r.created_at) },
+  { name: "in use", value: (r) => (r.withdrawn_at ? "withdrawn" : "yes"), show: (r) => orbitUse(r, again) },
 ];
+
+const plain = (norad) => String(norad).replace(/^0+/, "");
+const isOther = (orbit, own) => Boolean(own && orbit.details.norad_id && plain(orbit.details.norad_id) !== plain(own));
+
+function orbitUse(orbit, again) {
+  const verb = orbit.withdrawn_at ? "restore" : "withdraw";
+  const change = async () => {
+    await api(`/satellites/${id}/orbits/${orbit.id}/${verb}`, { method: "POST" }).catch((problem) => notice(problem.message, "refuse"));
+    again();
+  };
+  const label = `${orbit.withdrawn_at ? "Restore" : "Withdraw"} the orbit of ${time(orbit.epoch)}`;
+  return [orbit.withdrawn_at ? "withdrawn " : "", may("operate") ? h("button", { type: "button", class: "quiet", "aria-label": label, onclick: change }, orbit.withdrawn_at ? "Restore" : "Withdraw") : "yes"];
+}
+
+function settings(satellite) {
+  const limit = (name, label, unset) => field(name, label, { type: "number", min: 0, step: "any", placeholder: unset, value: satellite[name] });
+  return form([
+    field("name", "Name", { value: satellite.name }), field("norad_id", "NORAD id", { value: satellite.norad_id }),
+    limit("data_stale_days", "Newest reading may be so old, days", "30"), limit("orbit_stale_days", "Newest orbit may be so old, days", "7"),
+    limit("station_silent_hours", "Nothing may have arrived for so long, h", "72"),
+  ], "Change", async (values) => {
+    const number = (text) => (text === "" ? null : Number(text));
+    const json = { name: values.name || null, norad_id: values.norad_id || null };
+    for (const name of ["data_stale_days", "orbit_stale_days", "station_silent_hours"]) json[name] = number(values[name]);
+    await api(`/satellites/${id}`, { method: "PATCH", json });
+    location.reload();
+  });
+}
+
+// The sessions as a strip over time: agrees, watch, disagrees with the set that was in force when they were judged.
+function strip(sessions) {
+  const judged = sessions.filter((one) => one.monitoring).slice(0, 120).reverse();
+  if (!judged.length) return null;
+  return h("div", { class: "strip", role: "group", "aria-label": "Sessions over time, and whether each agrees with the set in force" },
+    judged.map((one) => h("a", { class: `badge ${AGREEMENTS[one.monitoring.grade]}`, href: `/sessions/${one.id}`, title: `${time(one.data_until)}: ${one.monitoring.grade}`,
+      "aria-label": `${time(one.data_until)}: ${one.monitoring.grade}` }, AGREEMENT_SIGNS[one.monitoring.grade])));
+}
 
 function addMagnetometer() {
   return form([
@@ -148,21 +190,27 @@ start(async () => {
   const orbitsPlace = section("Orbits", h("p", { class: "muted" }, "Loading …"));
   const setsPlace = section("Parameter sets", h("p", { class: "muted" }, "Loading …"));
   const trendPlace = h("div");
+  const attentionPlace = h("div");
+  const attention = () => api(`/attention?satellite=${encodeURIComponent(id)}&total=true`).then(
+    (answer) => attentionPlace.replaceChildren(...lines(answer, attention).filter(Boolean)));
   show(h("div", { class: "heading" }, h("h1", {}, satellite.name ?? satellite.id), h("p", { class: "muted" },
     [satellite.id, satellite.norad_id && `NORAD ${satellite.norad_id}`, satellite.cospar_id].filter(Boolean).join(" · "))),
-    states.filter((row) => row.magnetometer).map(statusOf),
+    attentionPlace, states.filter((row) => row.magnetometer).map(statusOf),
     !names.length ? h("div", { class: "empty" }, h("h2", {}, "Next step: add its magnetometer"), may("operate") ? addMagnetometer() : null) : null,
     names.length && may("ingest") ? section("Upload telemetry", uploader(id, satellite.magnetometers)) : null,
-    setsPlace, trendPlace, historyOf(magnetometer, states.some((row) => row.newest)), sessionsPlace, orbitsPlace,
+    setsPlace, trendPlace, historyOf(magnetometer, states.some((row) => row.newest)), sessionsPlace, orbitsPlace, notes(`/satellites/${id}`),
+    may("operate") ? h("details", {}, h("summary", {}, "Settings of the satellite"), settings(satellite)) : null,
+    names.map((name) => h("details", {}, h("summary", {}, `Notes on magnetometer ${name}`), notes(`/satellites/${id}/magnetometers/${name}`))),
     may("operate") && names.length ? h("details", {}, h("summary", {}, "Add a magnetometer"), addMagnetometer()) : null);
 
   async function orbits() {
     const rows = await listed(`/satellites/${id}/orbits`, 1000);
-    orbitsPlace.replaceChildren(orbitsPlace.firstChild, table(ORBIT_COLUMNS, rows, { caption: "Orbits", file: `${id}-orbits`,
+    orbitsPlace.replaceChildren(orbitsPlace.firstChild, table(ORBIT_COLUMNS(satellite.norad_id, () => { orbits(); attention(); }), rows, { caption: "Orbits", file: `${id}-orbits`,
       empty: "No orbit yet. Telemetry without positions or a reference field needs one: paste a TLE." }),
       may("ingest", "operate") ? h("details", { open: !rows.length }, h("summary", {}, "Add an orbit"), addOrbit()) : "");
   }
   document.addEventListener("orbits", orbits);
+  attention();
   await painted();
   const [sets, sessions] = await Promise.all([
     listed(`/satellites/${id}/history`, 1000), listed(`/sessions?satellite=${id}`, 1000), orbits()]);
@@ -172,7 +220,7 @@ start(async () => {
     session.grade = newest?.grade;
     session.set_id = newest?.id;
   }
-  sessionsPlace.replaceChildren(sessionsPlace.firstChild, table(SESSION_COLUMNS, sessions, { caption: "Sessions", file: `${id}-sessions`,
+  sessionsPlace.replaceChildren(sessionsPlace.firstChild, strip(sessions) ?? "", table(SESSION_COLUMNS, sessions, { caption: "Sessions", file: `${id}-sessions`,
     empty: names.length ? "No telemetry yet: drop a file above, or send it with magcal push." : "No telemetry yet." }));
   setsPlace.replaceChildren(setsPlace.firstChild, table(SET_COLUMNS, sets, { caption: "Parameter sets", file: `${id}-parameter-sets`,
     empty: "No parameter set yet: open a session and start a calibration." }));

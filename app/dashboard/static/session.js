@@ -1,6 +1,8 @@
 // One session: what it holds, how good it is, and a calibration of it.
-import { ago, api, facts, field, fixed, form, grade, h, listed, may, option, section, short, show, start, tiles, time, title } from "./magcal.js";
+import { ago, agreement, api, facts, field, fixed, form, grade, h, listed, may, option, section, short, show, start, tiles, time, title } from "./magcal.js";
+import { lines } from "./attention.js";
 import { follow } from "./job.js";
+import { notes } from "./notes.js";
 import { plot } from "./plot.js";
 import { table } from "./table.js";
 
@@ -30,6 +32,16 @@ function calibrate(session) {
   return [node, progress];
 }
 
+// What the session says of the set in force, its reasons behind it.
+function agrees({ monitoring }) {
+  if (!monitoring) return h("p", { class: "muted" }, "Not judged: no set was in force when it arrived.");
+  const classes = { disagrees: "refuse", watch: "weak", agrees: "accept" };
+  return h("div", { class: `verdict ${classes[monitoring.grade] ?? ""}` }, h("p", {}, agreement(monitoring), " with set ",
+    h("a", { href: `/parameter-sets/${monitoring.parameter_set_id}` }, short(monitoring.parameter_set_id)),
+    monitoring.residual_rms_nt === null ? "" : `, residual ${fixed(monitoring.residual_rms_nt, 0)} nT, ${fixed(monitoring.residual_ratio, 1)} times that of the set; judged ${ago(monitoring.judged_at)}`),
+    h("ul", {}, monitoring.reasons.map((reason) => h("li", {}, reason.replace(/^\w+: /, "")))));
+}
+
 const flagRows = (quality) => Object.entries(quality.flags ?? {}).map(([name, count]) => [name.replaceAll("_", " "), `${count} samples`]);
 
 start(async () => {
@@ -38,6 +50,9 @@ start(async () => {
   const { quality } = session;
   const [measured, coverage, keeping] = [h("span", {}, "…"), h("span", {}, "…"), h("div")];
   const setsPlace = section("Parameter sets from this session", h("p", { class: "muted" }, "Loading …"));
+  const attentionPlace = h("div");
+  const attention = () => api(`/attention?session=${id}&total=true`).then(
+    (answer) => attentionPlace.replaceChildren(...(answer.items.length ? lines(answer, attention).filter(Boolean) : [])));
   show(
     h("div", { class: "heading" }, h("h1", {}, `Session ${short(id)}`), h("p", { class: "muted" },
       h("a", { href: `/satellites/${session.satellite}` }, session.satellite), ` · ${session.magnetometer} · ${time(session.data_from)} to ${time(session.data_until)} UTC`)),
@@ -46,6 +61,7 @@ start(async () => {
       ["step", quality.step_s ? `${fixed(quality.step_s, 2)} s` : "–", quality.span_s ? `${fixed(quality.span_s / 3600, 2)} h` : null],
       ["gaps", quality.gaps === undefined ? "–" : String(quality.gaps), quality.gaps && quality.longest_gap_s ? `longest ${fixed(quality.longest_gap_s, 0)} s` : null]),
     session.state === "open" ? h("p", { class: "notice weak" }, "This session is open: further chunks may arrive.") : null,
+    attentionPlace, section("Against the set in force", agrees(session)),
     may("operate") && session.samples ? h("section", { id: "calibrate" }, h("h2", {}, "Calibrate"), calibrate(session)) : null,
     setsPlace,
     section("Readings", plot(`/sessions/${id}/figures/raw`, "|B| as measured and its components", "Crosses are samples with a flag.", 360)),
@@ -53,9 +69,11 @@ start(async () => {
     keeping,
     section("Quality", facts([...flagRows(quality), ["rows without a time", quality.rows_without_time], ["rows out of order", quality.rows_out_of_order],
       ["columns ignored", quality.columns_ignored?.join(", ") || null], ["columns", session.columns.join(", ")]])),
+    notes(`/sessions/${id}`),
     section("Bytes", facts([["SHA-256", session.sha256 ? h("code", {}, session.sha256) : null], ["size", `${fixed(session.size_bytes, 0)} bytes`],
       ["received", `${time(session.created_at)} (${ago(session.created_at)})`], ["chunks", String(session.chunks.length)],
       ["download", ["csv", "ndjson", "json", "parquet"].map((form) => [h("a", { href: `/api/v1/sessions/${id}/samples?format=${form}`, download: true }, form), " "])]])));
+  attention();
   api(`/sessions/${id}/summary`).then((summary) => {
     measured.textContent = summary.b_min_nt === null ? "–" : `${fixed(summary.b_min_nt, 0)} … ${fixed(summary.b_max_nt, 0)}`;
     coverage.textContent = summary.sphere_coverage === null ? "–" : `${fixed(100 * summary.sphere_coverage, 0)} %`;

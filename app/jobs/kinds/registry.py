@@ -11,12 +11,14 @@ from app.jobs.kinds.attitude_simulation import AttitudeKind
 from app.jobs.kinds.calibration import CalibrationKind
 from app.jobs.kinds.contract import JobKind
 from app.jobs.kinds.energy_balance import EnergyKind
+from app.jobs.kinds.monitoring import MonitoringKind
 from app.jobs.schemas import JobBody
 
 JOB_KINDS: Final[Mapping[str, JobKind]] = {
     "calibration": CalibrationKind(),
     "attitude-simulation": AttitudeKind(),
     "energy-balance": EnergyKind(),
+    "monitoring": MonitoringKind(),
 }
 
 if TYPE_CHECKING:

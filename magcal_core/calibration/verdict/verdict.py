@@ -83,7 +83,7 @@ def judge(evidence: Evidence) -> Verdict:
         found = [("accept", Reason("observable", f"observability index {evidence.index:.3g}, above {WEAK_BELOW:g}"))]
     order = {"refuse": 0, "weak": 1, "accept": 2}
     found.sort(key=lambda entry: order[entry[0]])
-    return Verdict(grade, tuple(reason for _, reason in found))
+    return Verdict(grade, tuple(reason for _, reason in found), tuple(grade for grade, _ in found))
 
 
 _Found = list[tuple[str, Reason]]

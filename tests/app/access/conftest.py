@@ -12,6 +12,7 @@ import httpx2
 import pytest
 
 from app.access.key_repository import KeyRepository
+from app.attention.entries import entry_id
 from app.storage.database import utc_now
 from magcal_core.simulation.dekart_mission import SESSIONS, simulated, tle_text
 from magcal_core.telemetry import write_samples
@@ -76,6 +77,11 @@ class World:
             "POST /field": {"json": {"time": ["2026-01-01T00:00:00Z"], "position_km": [[7000.0, 0.0, 0.0]]}},
             "POST /keys": {"json": {"scopes": ["read"]}},
             "POST /parameter-sets/{parameter_set_id}/aboard": {"json": {"state": "uploaded"}},
+            "POST /attention/{entry_id}/acknowledge": {"json": {"note": "seen"}},
+            "POST /satellites/{satellite_id}/notes": {"json": {"text": "a note"}},
+            "POST /satellites/{satellite_id}/magnetometers/{magnetometer_id}/notes": {"json": {"text": "a note"}},
+            "POST /sessions/{session_id}/notes": {"json": {"text": "a note"}},
+            "POST /parameter-sets/{parameter_set_id}/notes": {"json": {"text": "a note"}},
             "POST /webhooks": {"json": {"url": "http://127.0.0.1:9/", "events": ["attention.raised"]}},
             "GET /sessions/{session_id}/residual": {"params": {"parameter_set": ids["parameter_set_id"]}},
             "GET /sessions/{session_id}/comparison": {"params": {"other": ids["session_id"]}},
@@ -136,6 +142,7 @@ def build_world(admin: httpx2.Client, name: str) -> World:
     ids = {
         "webhook_id": hook.raise_for_status().json()["id"],
         "delivery_id": ABSENT,
+        "entry_id": entry_id(name, "mgm", "data_stale"),
         "satellite_id": name,
         "magnetometer_id": "mgm",
         "orbit_id": orbits.json()["items"][0]["id"],

@@ -125,3 +125,17 @@ def test_the_report_may_reach_nothing(api, mission):
     assert answer.headers["content-security-policy"].startswith("default-src 'none'")
     assert mission.first in answer.text
     assert "plate-map" in answer.text
+
+
+def test_a_parameter_set_in_a_list_takes_under_500_bytes_on_request(api, mission):
+    query = {"satellite": mission.satellite, "view": "summary", "total": "true"}
+    answer = api.get("/parameter-sets", params=query)
+    items = answer.json()["items"]
+    assert {mission.first, mission.second} <= {one["id"] for one in items}
+    assert answer.json()["total"] == len(items)
+    assert len(answer.content) < 500 * len(items)
+    for one in items:
+        full = api.get(f"/parameter-sets/{one['id']}").json()
+        assert one["rms_nt"] == full["statistics"]["after"]["rms_nt"]
+        assert (one["grade"], one["status"]) == (full["verdict"]["grade"], full["status"])
+    assert answer.headers["etag"] != api.get("/parameter-sets", params=query | {"view": "full"}).headers["etag"]

@@ -11,7 +11,7 @@ from importlib.metadata import version
 import httpx2
 import pytest
 
-PAGES = ["/", "/satellites/any", "/sessions/any", "/parameter-sets/any", "/jobs", "/keys", "/compare"]
+PAGES = ["/", "/satellites/any", "/sessions/any", "/parameter-sets/any", "/jobs", "/keys", "/compare", "/reasons"]
 SAME_ORIGIN = {"Sec-Fetch-Site": "same-origin"}
 ASSET = f"/assets/plotly-{version('plotly')}.min.js"
 STATIC = {path.name: path.read_text() for path in (resources.files("app.dashboard") / "static").iterdir()}
@@ -167,12 +167,12 @@ def shown(mission) -> dict[str, set[str]]:
     """Page -> paths of the API whose answers it brings along."""
     satellite, session, sets = mission.satellite, mission.session, (mission.first, mission.second)
     return {
-        "/": {"/overview?limit=1000"},
+        "/": {"/attention?limit=100&total=true", "/fleet?limit=50&sort=worst", "/fleet?limit=1"},
         f"/satellites/{satellite}": {f"/satellites/{satellite}", f"/overview?satellite={satellite}"},
         f"/sessions/{session}": {f"/sessions/{session}"},
         f"/parameter-sets/{sets[0]}": {f"/parameter-sets/{sets[0]}"},
         f"/compare?first={sets[0]}&second={sets[1]}": {f"/parameter-sets/{one}" for one in sets},
-        "/jobs": {"/jobs?limit=50"},
+        "/jobs": {"/jobs?limit=50&sort=-created&total=true"},
         "/keys": {"/keys?limit=1000"},
     }
 
@@ -195,9 +195,9 @@ def test_a_page_brings_along_only_what_the_key_may_see(visitor, service, api, sh
         own[key] = [brought(visitor.get(page).text) for page in shown]
     blind, bound = own.values()
     assert not any(blind)
-    assert {row["satellite"] for row in bound[0]["/overview?limit=1000"]["items"]} == {other}
+    assert {row["satellite"] for row in bound[0]["/fleet?limit=50&sort=worst"]["items"]} <= {other}
     assert bound[1:5] == [{}] * 4
-    assert bound[5]["/jobs?limit=50"]["items"] == []
+    assert bound[5]["/jobs?limit=50&sort=-created&total=true"]["items"] == []
     assert bound[6] == {}
 
 

@@ -186,3 +186,23 @@ def test_the_set_in_force_at_a_time_is_the_last_one_begun_unless_it_had_ended(se
                 found = admin.get("/parameter-sets", params={"at": at, **where}).json()["items"]
                 assert [one["id"] for one in found] == [ids[number] for number in wanted], days
             assert admin.get("/parameter-sets", params={"at": at, "satellite": "two"}).json()["items"] == []
+
+
+def test_lists_count_search_sort_and_sum_up_on_request(api, names):
+    """Totals are of all parts; `sort` turns the order round and parts still join; a search takes a part of an id."""
+    made = [next(names) for _ in range(3)]
+    for name in made:
+        api.post("/satellites", json={"id": name, "name": f"Heron {name}"}).raise_for_status()
+    whole = api.get("/satellites", params={"q": "hEron", "total": "true", "sort": "created"}).json()
+    assert ([one["id"] for one in whole["items"]], whole["total"]) == (made, 3)
+    first = api.get("/satellites", params={"q": "heron", "sort": "created", "limit": 2, "total": "true"}).json()
+    query = {"q": "heron", "sort": "created", "limit": 2, "cursor": first["next"]}
+    assert [one["id"] for one in first["items"] + api.get("/satellites", params=query).json()["items"]] == made
+    assert first["total"] == 3
+    assert "total" not in api.get("/satellites").json()
+    assert api.get("/satellites", params={"q": "100%", "total": "true"}).json()["total"] == 0
+    for path in ("/jobs", "/sessions", "/parameter-sets"):
+        answer = api.get(path, params={"total": "true", "q": "no-such-thing"})
+        assert (answer.status_code, answer.json()["total"], answer.json()["items"]) == (200, 0, [])
+    jobs = api.get("/jobs", params={"total": "true", "state": "failed", "limit": 1}).json()
+    assert jobs["total"] == jobs["counts"].get("failed", 0)

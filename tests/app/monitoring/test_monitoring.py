@@ -58,7 +58,7 @@ def test_monitoring_takes_the_set_in_force_unless_one_is_named(api, satellite, f
     absent = api.get(f"/sessions/{session_id}/monitoring")
     assert (absent.status_code, absent.json()["code"]) == (404, "not_found")
     found = calibrated(api, [session_id])
-    api.post(f"/parameter-sets/{found['id']}/activate", params={"force": True})
+    api.post(f"/parameter-sets/{found['id']}/activate", params={"force": True, "reason": "tried"})
     assert api.get(f"/sessions/{session_id}/monitoring").json()["parameter_set_id"] == found["id"]
 
 
@@ -67,14 +67,14 @@ def test_a_new_calibration_is_held_against_the_set_in_force(api, satellite, flow
     first_id = sent(api, satellite, flown)
     first = calibrated(api, [first_id])
     assert "agreement" not in first
-    api.post(f"/parameter-sets/{first['id']}/activate", params={"force": True}).raise_for_status()
+    api.post(f"/parameter-sets/{first['id']}/activate", params={"force": True, "reason": "tried"}).raise_for_status()
     later = calibrated(api, [sent(api, satellite, simulated(SESSIONS[1]).samples)])
     assert later["agreement"]["parameter_set_id"] == first["id"]
     (b2,) = [one for one in later["agreement"]["differences"] if one["parameter"] == "bias_nt[1]"]
     assert b2["difference"] == pytest.approx(-865.0, abs=4 * b2["standard_error"])
     assert [one for one in later["verdict"]["reasons"] if one.startswith("differs_from_active")]
     assert later["verdict"]["grade"] == "weak"
-    api.post(f"/parameter-sets/{later['id']}/activate", params={"force": True}).raise_for_status()
+    api.post(f"/parameter-sets/{later['id']}/activate", params={"force": True, "reason": "tried"}).raise_for_status()
     assert "agreement" not in calibrated(api, [first_id], robust="huber")
 
 

@@ -262,13 +262,18 @@ def test_one_parameter_set_is_in_force_and_a_rollback_undoes_it(api, satellite, 
     assert at("2100-01-01T00:00:00Z") == []
 
 
-def test_a_refused_verdict_needs_force(service, api, found):
+def test_a_refused_verdict_needs_force_and_a_reason_that_the_audit_keeps(service, api, found):
     with service.database.write() as session:
         connection = session.connection()
         connection.exec_driver_sql("UPDATE parameter_set SET grade = 'refuse' WHERE id = ?", (found["id"],))
     refused = api.post(f"/parameter-sets/{found['id']}/activate")
     assert (refused.status_code, refused.json()["code"]) == (409, "verdict_refuse")
-    assert api.post(f"/parameter-sets/{found['id']}/activate", json={"force": True}).json()["status"] == "active"
+    bare = api.post(f"/parameter-sets/{found['id']}/activate", json={"force": True})
+    assert (bare.status_code, bare.json()["code"]) == (422, "reason_required")
+    body = {"force": True, "reason": "the spare is worse"}
+    assert api.post(f"/parameter-sets/{found['id']}/activate", json=body).json()["status"] == "active"
+    lines = [one for one in api.get("/audit").json()["items"] if one["subject"] == found["id"]]
+    assert [(one["action"], one["reason"]) for one in lines][:1] == [("parameter_set.activate", "the spare is worse")]
 
 
 def test_applying_corrects_telemetry_and_the_inverse_brings_it_back(api, found, telemetry):

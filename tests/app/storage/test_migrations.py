@@ -13,9 +13,11 @@ from sqlalchemy import JSON, MetaData, delete, insert, inspect, select, text
 import app.aboard.tables
 import app.access.idempotency
 import app.access.key_tables
+import app.attention.tables
 import app.connectors.tables
 import app.indices.tables
 import app.jobs.tables
+import app.notes.tables
 import app.notifications.tables
 import app.orbits.tables
 import app.outbox.tables
@@ -36,7 +38,8 @@ from app.orbits.repository import OrbitRepository
 from app.parameter_sets.repository import ParameterSetRepository
 from app.parameter_sets.tables import ParameterSet
 from app.satellites.tables import Magnetometer, Satellite
-from app.sessions.repository import Parsed, SessionRepository, Writing
+from app.sessions.parsed import Parsed
+from app.sessions.repository import SessionRepository, Writing
 from app.settings import Settings
 from app.storage.database import Base, Database, utc_now
 from app.storage.migration import alembic_config, current, head, migrate, upgrade

@@ -1,0 +1,49 @@
+"""HTTP of what needs attention, and of the fleet."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Query, Request
+
+from app.access.authentication import Operator, Reader
+from app.attention.entries import Fleet
+from app.attention.fleet import fleet_page
+from app.attention.repository import AttentionRepository
+from app.attention.schemas import AcknowledgeBody, AttentionPage, AttentionQuery, AttentionRead, FleetPage, FleetQuery
+from app.http.dependencies import Db
+from app.http.schemas import Identifier
+from app.http.strict_json import StrictJsonRoute
+
+router = APIRouter(route_class=StrictJsonRoute, tags=["attention"])
+
+
+async def _fleet(request: Request) -> Fleet:
+    fleet: Fleet = request.app.state.fleet
+    return fleet
+
+
+Known = Annotated[Fleet, Depends(_fleet)]
+
+
+@router.get("/attention")
+def list_attention(query: Annotated[AttentionQuery, Query()], caller: Reader, db: Db, fleet: Known) -> AttentionPage:
+    """List what needs attention, the worst first: one entry a magnetometer and cause, each with what mends it."""
+    with db.read() as session:
+        return AttentionRepository(session, caller, fleet).page(query)
+
+
+@router.post("/attention/{entry_id}/acknowledge")
+def acknowledge_attention(
+    entry_id: Identifier, body: AcknowledgeBody, caller: Operator, db: Db, fleet: Known
+) -> AttentionRead:
+    """Say that somebody has seen an entry; it comes back once what it is about changes, gets worse, or time is up."""
+    with db.write() as session:
+        return AttentionRepository(session, caller, fleet).acknowledge(entry_id, body)
+
+
+@router.get("/fleet")
+def list_fleet(query: Annotated[FleetQuery, Query()], caller: Reader, db: Db, fleet: Known) -> FleetPage:
+    """Show every magnetometer at a glance, searched, sorted and counted by the service."""
+    with db.read() as session:
+        return fleet_page(AttentionRepository(session, caller, fleet), query)

@@ -1,0 +1,282 @@
+"""What is known of each magnetometer that decides whether it needs attention: a few queries for a whole fleet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from typing import Any, Final
+
+from sqlalchemy import ColumnElement, Select, and_, func, select
+from sqlalchemy.orm import InstrumentedAttribute, Session, aliased, join, outerjoin
+
+from app.aboard.repository import NotAboard, not_aboard
+from app.jobs.tables import Job, JobSession
+from app.orbits.tables import OrbitRow
+from app.parameter_sets.tables import Activation, ParameterSet, ParameterSetSession
+from app.satellites.tables import Magnetometer, Satellite
+from app.sessions.tables import SessionMonitoring, TelemetrySession
+
+DATA_STALE_DAYS: Final = 30.0
+ORBIT_STALE_DAYS: Final = 7.0
+STATION_SILENT_HOURS: Final = 72.0
+IDS_AT_ONCE: Final = 500
+POSITIONED: Final = frozenset({"ref_b", "ref_bx", "ref_eci_x", "x_km"})
+"""Columns that make an orbit unnecessary."""
+
+Place = tuple[str, str]
+Facts = dict[Place, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class SetFacts:
+    """A parameter set: in force, or the newest there is."""
+
+    id: str
+    grade: str
+    status: str
+    method: str
+    job_id: str
+    data_until: datetime
+    created_at: datetime
+    begun_at: datetime | None = None
+    session_ids: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class SessionFacts:
+    """The session with the newest data, and what it says of the set in force, where that was asked."""
+
+    id: str
+    data_from: datetime | None
+    data_until: datetime
+    created_at: datetime
+    needs_orbit: bool
+    is_usable: bool
+    judged_set_id: str | None
+    grade: str | None
+    residual_rms_nt: float | None
+    residual_ratio: float | None
+    reasons: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class OrbitFacts:
+    """The orbit with the newest epoch."""
+
+    id: str
+    format: str
+    epoch: datetime
+    until: datetime | None
+    norad_id: str | None
+    created_at: datetime
+
+
+@dataclass(frozen=True, slots=True)
+class JobFacts:
+    """The newest calibration job."""
+
+    id: str
+    state: str
+    request: Mapping[str, object]
+    error: Mapping[str, object] | None
+    created_at: datetime
+    finished_at: datetime | None
+    session_ids: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """One magnetometer with what is known of it, and its satellite's limits of age."""
+
+    satellite_id: str
+    satellite_name: str | None
+    norad_id: str | None
+    magnetometer_id: str
+    created_at: datetime
+    policy: Mapping[str, object] | None
+    data_stale_days: float
+    orbit_stale_days: float
+    station_silent_hours: float
+    active: SetFacts | None = None
+    newest: SetFacts | None = None
+    session: SessionFacts | None = None
+    received_at: datetime | None = None
+    orbit: OrbitFacts | None = None
+    job: JobFacts | None = None
+    aboard: NotAboard | None = None
+    extra: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def judged(self) -> SessionFacts | None:
+        """The session, where it was judged against the set that is in force now."""
+        if self.session is None or self.active is None or self.session.judged_set_id != self.active.id:
+            return None
+        return self.session
+
+    @property
+    def is_calibrating(self) -> bool:
+        """Whether a calibration waits or runs."""
+        return self.job is not None and self.job.state in {"queued", "running"}
+
+
+def situations(session: Session, satellites: Sequence[str] | None = None) -> list[Situation]:
+    """Return the situation of every magnetometer, or of those of ``satellites``, by satellite and magnetometer."""
+    of = _reach(satellites)
+    active, newest = _active(session, of), _newest_sets(session, of)
+    last, received, orbits, jobs = (
+        _sessions(session, of),
+        _received(session, of),
+        _orbits(session, of),
+        _jobs(session, of),
+    )
+    aboard = {(one.satellite_id, one.magnetometer_id): one for one in not_aboard(session)} if active else {}
+    rows = session.execute(
+        select(Magnetometer, Satellite).join(Satellite, Satellite.id == Magnetometer.satellite_id)
+        .where(*of(Magnetometer.satellite_id)).order_by(Magnetometer.satellite_id, Magnetometer.id)
+    )  # fmt: skip
+    return [
+        Situation(
+            satellite.id, satellite.name, satellite.norad_id, sensor.id, sensor.created_at, sensor.policy,
+            satellite.data_stale_days or DATA_STALE_DAYS,
+            satellite.orbit_stale_days or ORBIT_STALE_DAYS,
+            satellite.station_silent_hours or STATION_SILENT_HOURS,
+            active.get(place), newest.get(place), last.get(place), received.get(place), orbits.get(satellite.id),
+            jobs.get(place), aboard.get(place),
+        )
+        for sensor, satellite in rows
+        for place in [(satellite.id, sensor.id)]
+    ]  # fmt: skip
+
+
+class _Reach:
+    def __init__(self, satellites: Sequence[str] | None) -> None:
+        self._satellites = satellites
+
+    def __call__(self, column: InstrumentedAttribute[str]) -> list[ColumnElement[bool]]:
+        return [] if self._satellites is None else [column.in_(self._satellites)]
+
+
+def _reach(satellites: Sequence[str] | None) -> _Reach:
+    return _Reach(satellites)
+
+
+def _newest(
+    table: Any, columns: Sequence[Any], of: _Reach, *conditions: Callable[[Any], ColumnElement[bool]], by: str = "id"
+) -> Select[Any]:
+    """Return the statement of ``columns`` of each magnetometer's newest row of ``table``: one look into an index each.
+
+    Beside ``table`` itself, columns of what a session says of the set in force are joined where it is the table.
+    """
+    other = aliased(table)
+    own = [other.satellite_id == Magnetometer.satellite_id, other.magnetometer_id == Magnetometer.id]
+    first = select(other.id).where(*own, *(condition(other) for condition in conditions))
+    order = getattr(other, by)
+    found = first.order_by(order.desc(), other.id.desc()).limit(1).correlate(Magnetometer).scalar_subquery()
+    joined = join(Magnetometer, table, table.id == found)
+    if table is TelemetrySession:
+        joined = outerjoin(joined, SessionMonitoring, SessionMonitoring.session_id == table.id)
+    chosen = select(Magnetometer.satellite_id, Magnetometer.id, *columns).select_from(joined)
+    return chosen.where(*of(Magnetometer.satellite_id))
+
+
+SET_COLUMNS: Final = (
+    ParameterSet.id, ParameterSet.grade, ParameterSet.status, ParameterSet.method, ParameterSet.job_id,
+    ParameterSet.data_until, ParameterSet.created_at,
+)  # fmt: skip
+
+
+def _active(session: Session, of: _Reach) -> Facts:
+    statement = (
+        select(ParameterSet.satellite_id, ParameterSet.magnetometer_id, *SET_COLUMNS, Activation.begun_at)
+        .outerjoin(Activation, and_(Activation.parameter_set_id == ParameterSet.id, Activation.ended_at.is_(None)))
+        .where(ParameterSet.status == "active", *of(ParameterSet.satellite_id))
+    )
+    return {(row[0], row[1]): SetFacts(*row[2:]) for row in session.execute(statement)}
+
+
+def _newest_sets(session: Session, of: _Reach) -> Facts:
+    rows = session.execute(_newest(ParameterSet, SET_COLUMNS, of)).all()
+    links = _links(session, ParameterSetSession.parameter_set_id, ParameterSetSession.session_id,
+                   [row[2] for row in rows if row[4] == "candidate"])  # fmt: skip
+    return {(row[0], row[1]): replace(SetFacts(*row[2:]), session_ids=links.get(row[2], ())) for row in rows}
+
+
+def _sessions(session: Session, of: _Reach) -> Facts:
+    row_of = TelemetrySession
+    columns = (
+        row_of.id, row_of.data_from, row_of.data_until, row_of.created_at, row_of.columns, row_of.state,
+        row_of.raw_removed_at, SessionMonitoring.parameter_set_id, SessionMonitoring.grade,
+        SessionMonitoring.residual_rms_nt, SessionMonitoring.residual_ratio, SessionMonitoring.record,
+    )  # fmt: skip
+    statement = _newest(row_of, columns, of, lambda other: other.data_until.is_not(None), by="data_until")
+    return {(row[0], row[1]): _session_facts(row) for row in session.execute(statement)}
+
+
+def _session_facts(row: Sequence[Any]) -> SessionFacts:
+    _, _, session_id, begin, end, created, columns, state, removed, set_id, grade, rms_nt, ratio, record = row
+    reasons = record.get("reasons", []) if isinstance(record, dict) else []
+    is_usable = state == "closed" and removed is None
+    needs_orbit = not POSITIONED & set(columns)
+    return SessionFacts(
+        session_id, begin, end, created, needs_orbit, is_usable, set_id, grade, rms_nt, ratio, tuple(reasons)
+    )
+
+
+def _received(session: Session, of: _Reach) -> dict[Place, datetime]:
+    statement = _newest(TelemetrySession, (TelemetrySession.created_at,), of)
+    return {(row[0], row[1]): row[2] for row in session.execute(statement)}
+
+
+def _orbits(session: Session, of: _Reach) -> dict[str, OrbitFacts]:
+    other = aliased(OrbitRow)
+    first = select(other.id).where(other.satellite_id == Satellite.id, other.withdrawn_at.is_(None))
+    newest = first.order_by(other.epoch.desc(), other.id.desc()).limit(1).correlate(Satellite).scalar_subquery()
+    row_of = OrbitRow
+    statement = (
+        select(Satellite.id, row_of.id, row_of.format, row_of.epoch, row_of.until, row_of.details, row_of.created_at)
+        .select_from(Satellite).join(row_of, row_of.id == newest).where(*of(Satellite.id))
+    )  # fmt: skip
+    return {
+        row[0]: OrbitFacts(row[1], row[2], row[3], row[4], _norad_id(row[5]), row[6])
+        for row in session.execute(statement)
+    }
+
+
+def _norad_id(details: Mapping[str, object]) -> str | None:
+    found = details.get("norad_id")
+    return None if found is None else str(found).strip() or None
+
+
+def _jobs(session: Session, of: _Reach) -> Facts:
+    columns = (Job.id, Job.state, Job.request, Job.error, Job.created_at, Job.finished_at)
+    statement = _newest(
+        Job, columns, of, lambda other: other.kind == "calibration", lambda other: other.state != "cancelled"
+    )
+    rows = session.execute(statement).all()
+    links = _links(session, JobSession.job_id, JobSession.session_id, [row[2] for row in rows if row[3] != "succeeded"])
+    return {(row[0], row[1]): replace(JobFacts(*row[2:]), session_ids=links.get(row[2], ())) for row in rows}
+
+
+def _links(
+    session: Session, key: InstrumentedAttribute[str], value: InstrumentedAttribute[str], ids: Sequence[str]
+) -> dict[str, tuple[str, ...]]:
+    found: dict[str, tuple[str, ...]] = {}
+    for part in _parts(ids):
+        for one, other in session.execute(select(key, value).where(key.in_(part)).order_by(value)):
+            found[one] = (*found.get(one, ()), other)
+    return found
+
+
+def _parts(ids: Sequence[str]) -> Iterator[Sequence[str]]:
+    return (ids[start : start + IDS_AT_ONCE] for start in range(0, len(ids), IDS_AT_ONCE))
+
+
+def newest_change(session: Session) -> tuple[object, ...]:
+    """Return what is another with every write of the service: the ends of the log of events and of the audit trail."""
+    from app.access.audit_trail import AuditEvent
+    from app.outbox.tables import OutboxEntry
+
+    return tuple(session.execute(select(
+        select(func.max(OutboxEntry.id)).scalar_subquery(), select(func.max(AuditEvent.id)).scalar_subquery()
+    )).one())  # fmt: skip

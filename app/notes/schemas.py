@@ -1,0 +1,32 @@
+"""Bodies of the notes' calls."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, StringConstraints
+
+from app.http.schemas import Body, Record, UtcTime
+
+Kind = Literal["satellite", "magnetometer", "session", "parameter_set"]
+
+
+class NoteCreate(Body):
+    """What somebody writes beside a thing."""
+
+    text: Annotated[str, StringConstraints(min_length=1, max_length=4000, strip_whitespace=True)] = Field(
+        description="Plain text, line breaks kept."
+    )
+
+
+class NoteRead(Record):
+    """A note with its author and time; notes are never changed."""
+
+    id: str
+    kind: Kind = Field(description="What the note stands beside.")
+    subject: str = Field(description="Its id; of a magnetometer `satellite/magnetometer`.")
+    satellite: str
+    text: str
+    created_at: UtcTime
+    created_by: str | None = Field(description="Id of the author's key.")
+    author: str | None = Field(description="Name of the author's key.")

@@ -1,0 +1,63 @@
+"""Reasons in plain words: every code that a verdict may have is explained, and a cure changes what it says it does."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from app.jobs.schemas import CalibrationBody
+from app.parameter_sets.reasons import REASONS, Subject, explained
+
+VERDICT = Path(__file__).resolve().parents[3] / "magcal_core" / "calibration" / "verdict" / "verdict.py"
+PLAIN = {"method": "scalar", "robust": "none", "time_offset": "auto", "regressors": [], "noise_nt": None}
+
+
+def subject(**options: object) -> Subject:
+    return Subject("a" * 32, "dekart", ["b" * 32], PLAIN | options, ["temperature"], "c" * 32)
+
+
+def test_every_code_of_a_verdict_is_explained() -> None:
+    """The codes as the verdict's own source writes them."""
+    text = VERDICT.read_text(encoding="utf-8")
+    codes = set(re.findall(r'Reason\(\s*"(\w+)"', text))
+    codes |= set(re.findall(r'_graded\([^"]*?"(\w+)"', text))
+    assert codes <= set(REASONS)
+    assert len(codes) > 10
+
+
+@pytest.mark.parametrize(
+    ("code", "options", "label", "change"),
+    [
+        ("many_rejected", {}, "Again with tukey", {"robust": "tukey"}),
+        (
+            "large_residual",
+            {"robust": "tukey"},
+            "With the regressors that unseen blocks bear out",
+            {"regressors": "auto"},
+        ),
+        ("poor_on_unseen_data", {"regressors": ["temperature"]}, "Without regressors", {"regressors": []}),
+        ("orbit_old", {}, "Look for the clock", {"time_offset": "estimate"}),
+        ("misaligned", {"method": "vector"}, "Again from |B| alone", {"method": "scalar"}),
+    ],
+)
+def test_a_cure_is_the_same_calibration_with_one_option_changed(code, options, label, change) -> None:
+    (reason,) = explained([f"{code}: 0.3, limit 0.25"], ["refuse"], subject(**options))
+    assert reason.cure is not None
+    assert (reason.grade, reason.figure, reason.cure.label) == ("refuse", "0.3, limit 0.25", label)
+    body = CalibrationBody.model_validate(dict(reason.cure.body or {}))
+    wanted = {name: value for name, value in (PLAIN | options | change).items() if value is not None}
+    assert body.options == wanted
+    assert body.session_ids == ["b" * 32]
+
+
+def test_a_cure_that_was_taken_already_is_not_offered_again() -> None:
+    (reason,) = explained(["many_rejected: x"], ["weak"], subject(robust="tukey"))
+    assert reason.cure is None
+    (orbit,) = explained(["orbit_old: x"], ["weak"], subject(time_offset="estimate"))
+    assert (orbit.cure.method, orbit.cure.path) == ("GET", "/satellites/dekart#orbits")
+
+
+def test_sets_from_before_grades_were_kept_and_unknown_codes_are_explained_too() -> None:
+    (old, new) = explained(["bias_uncertain: x", "from_tomorrow: y"], [], subject())
+    assert old.grade is None
+    assert (new.code, new.figure, new.cure) == ("from_tomorrow", "y", None)
