@@ -8,7 +8,8 @@ y = J d + F a + noise over the residual's standard deviation, d flat, a_f ~ N(0,
 
 the mean of a is a(g) = A^-1 k v and, the noise's size unknown with nu degrees of freedom,
 
-    log p(g) = sum_f log prior(g_f) - 1/2 log|I + D^1/2 kM D^1/2| - nu k/2 log(S - v'a(g)),   S = y'y - y'J (J'J)^-1 J'y.
+    log p(g) = sum_f log prior(g_f) - 1/2 log|I + D^1/2 kM D^1/2| - nu k/2 log(S - v'a(g)),
+    S = y'y - y'J (J'J)^-1 J'y.
 
 k <= 1 is the effective share of rows that remember their neighbours. All combinations of sizes are factorised at once:
 the Cholesky factor of the matrix bordered by kv, with k S in the corner, holds A's determinant, and what is left.
@@ -24,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.calibration.fit import scaled_inverse
-from magcal_core.calibration.terms.linear_rows import Moments
 
 Floats = NDArray[np.float64]
 
@@ -118,9 +118,7 @@ class Mixture:
         """Return the covariance of d, shape (q, q), about its mean or about another step ``about``."""
         centre = self.step if about is None else about
         away = self.steps - centre
-        return np.asarray(
-            np.tensordot(self.weights, self.covariances, 1) + (self.weights[:, None] * away).T @ away
-        )
+        return np.asarray(np.tensordot(self.weights, self.covariances, 1) + (self.weights[:, None] * away).T @ away)
 
     def present(self) -> Floats:
         """Return the probability of each family, shape (families,)."""
@@ -141,8 +139,8 @@ def mixture_of(reduced: Reduced, families: NDArray[np.intp], freedom: int, share
         Effective share of the rows (k).
     """
     count = int(families.max()) + 1 if len(families) else 0
-    grid = np.array(list(itertools.product(SIZES, repeat=count))).reshape(-1, count)
-    prior = np.where(grid > 0, np.log((1.0 - ABSENT) / (len(SIZES) - 1)), np.log(ABSENT)).sum(axis=1)
+    grid = np.array(list(itertools.product(SIZES, repeat=count))).reshape(len(SIZES) ** count, count)
+    prior = np.sum(np.where(grid > 0, np.log((1.0 - ABSENT) / (len(SIZES) - 1)), np.log(ABSENT)), axis=1)
     logs = prior + log_likelihoods(reduced, grid[:, families] if count else grid, freedom, share)
     top = float(logs.max())
     weights = np.exp(logs - top)
@@ -202,9 +200,7 @@ def _mixture(  # noqa: PLR0917
     roots = sizes[:, families]
     scale = np.sqrt(np.diag(reduced.inverse))
     border = np.concatenate([(share * reduced.v)[:, None], reduced.carry.T / scale], axis=1)
-    solved = np.linalg.solve(
-        _bordered(reduced, roots, share, np.zeros((f, 0))), roots[:, :, None] * border
-    )
+    solved = np.linalg.solve(_bordered(reduced, roots, share, np.zeros((f, 0))), roots[:, :, None] * border)
     terms = roots * solved[:, :, 0]
     noise = np.maximum(reduced.squares - terms @ reduced.v, 1e-12 * reduced.squares) / freedom
     carried = (roots[:, :, None] * border)[:, :, 1:].swapaxes(1, 2) @ solved[:, :, 1:]

@@ -13,21 +13,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.calibration.estimators.linear_rows import Moments, Rows, rows_of
 from magcal_core.calibration.fit import BlockScores, Fit, Observations, residuals_nt, scaled_inverse
 from magcal_core.calibration.low_frequencies import low_frequency_variances
 from magcal_core.calibration.result import Parameters
 from magcal_core.calibration.selection import folds_of
 from magcal_core.calibration.terms.evidence import Mixture, Reduced, mixture_of
-from magcal_core.calibration.terms.linear_rows import Moments, Rows, rows_of
 from magcal_core.calibration.terms.locked_columns import LockedColumns
 from magcal_core.calibration.uncertainty import student_95
 
 Floats = NDArray[np.float64]
+Kind = Literal["fit", "clock", "full"]
 
 CERTAIN: Final = 0.95
 """Probability of a family from which on a warning names it."""
@@ -86,6 +87,8 @@ class LockedTerms:
         What a term that follows the sun may have across the field, nT; 0 where none is seen or attitude is known.
     plain : Parameters
         Those without any term.
+    step : shape (q,)
+        Change of the elements of T, the bias and the rest against the fit.
     """
 
     parameters: Parameters
@@ -99,6 +102,7 @@ class LockedTerms:
     held_out: Floats
     unseen_sun_nt: float
     plain: Parameters
+    step: Floats
 
     @property
     def shift(self) -> Floats:
@@ -138,35 +142,53 @@ _WORDS: Final = {"orbit": "the orbital period", "heat": "light and shadow", "sun
 
 
 def locked_terms(
-    observations: Observations, fit: Fit, columns: LockedColumns, duration_s: float, *, is_full: bool = False
+    observations: Observations,
+    fit: Fit,
+    columns: LockedColumns,
+    duration_s: float,
+    kind: Kind = "fit",
+    *,
+    always: bool = False,
 ) -> LockedTerms:
     """Return the estimate with errors locked to ``columns`` considered.
 
-    ``duration_s``: time that the samples cover, s; ``is_full``: with all nine elements of T unknown, whose plain
-    estimate is one linear step from the fit.
+    Parameters
+    ----------
+    observations, fit
+        The fit and what it was made of; with the fall of the reference where the clock is an unknown.
+    duration_s : float
+        Time that the samples cover, s.
+    kind : {"fit", "clock", "full"}
+        ``fit`` has these unknowns itself. ``clock`` was made at a clock that is one unknown more here, and stays the
+        plain estimate. ``full``: all nine elements of T are unknown, and the plain estimate is where they lead.
+    always : bool
+        Move in one step whether unseen blocks bear it out or not: for a test.
     """
-    begun = rows_of(observations, fit, is_full=is_full)
+    begun = rows_of(observations, fit, is_full=kind == "full")
     starts, blocks, folds = _edges(observations, fit)
     about = _Linear.at(begun, columns, starts)
-    first = about.reduced.offset
-    base = first if is_full else np.zeros_like(first)
-    ratios = _held_out(about, folds, observations)
-    moved = bool(np.all(ratios < 1.0) and np.median(ratios) < BETTER)
-    end = base + about.mixture.step if moved else base
-    for _ in range(_ROUNDS - 1 if moved else 0):
+    # What a fit leaves of its own step is no error: its minimum may be that of another residual.
+    own_step = about.reduced.offset if kind == "fit" else np.zeros_like(about.reduced.offset)
+    first = about.reduced.offset - own_step
+    base = first if kind == "full" else np.zeros_like(first)
+    ratios = np.ones(1) if always else _held_out(about, folds, observations)
+    moved = always or bool(np.all(ratios < 1.0) and np.median(ratios) < BETTER)
+    end = first + about.mixture.step if moved else base
+    for _ in range(_ROUNDS - 1 if moved and not always else 0):
         sigmas = [channel.sigma_nt for channel in begun.channels]
-        rows = rows_of(observations, fit, sigmas_nt=sigmas, at=begun.moved(end), is_full=is_full)
+        rows = rows_of(observations, fit, sigmas_nt=sigmas, at=begun.moved(end), is_full=kind == "full")
         about = _Linear.at(rows, columns, starts)
-        # What the plain fit leaves of its own step is no error: its minimum may be that of another residual.
-        end = end + about.reduced.offset - (0.0 if is_full else first) + about.mixture.step
+        end = end + about.reduced.offset - own_step + about.mixture.step
     matrix, parameters = begun.moved(end)
-    spread = about.mixture.covariance(None if moved else np.zeros_like(first))
+    spread = about.mixture.covariance(None if moved else base - first)
     sun_nt, unseen = about.unseen_sun()
-    more = MOVE_ERROR**2 * np.outer(end - base, end - base) + unseen
+    more = MOVE_ERROR**2 * np.outer(end - base, end - base) + unseen if not always else unseen
     own = begun.unknowns.to_parameters(matrix)
     in_parameters = own @ spread @ own.T
     widening = about.widening(own, np.diag(in_parameters), blocks, fit, duration_s)
-    every = about.widening(np.eye(len(spread)), np.diag(spread), blocks, fit, duration_s) if is_full else 1.0
+    every = np.ones(len(spread))
+    if kind == "full":
+        every = about.widening(np.eye(len(spread)), np.diag(spread), blocks, fit, duration_s)
     return LockedTerms(
         parameters=parameters,
         matrix=matrix,
@@ -179,6 +201,7 @@ def locked_terms(
         held_out=ratios,
         unseen_sun_nt=sun_nt,
         plain=begun.moved(base)[1],
+        step=end,
     )
 
 
@@ -217,9 +240,7 @@ class _Linear:
         """Size of every term in the likeliest combination, shape (f,)."""
         return np.asarray(self.mixture.sizes[0][self.columns.family_of_terms])
 
-    def widening(
-        self, own: Floats, posterior: Floats, blocks: NDArray[np.intp], fit: Fit, duration_s: float
-    ) -> Floats:
+    def widening(self, own: Floats, posterior: Floats, blocks: NDArray[np.intp], fit: Fit, duration_s: float) -> Floats:
         """Return honest over posterior standard errors, at least 1, from the scores of the likeliest combination.
 
         ``own``: derivative of what is asked for by the unknowns, shape (p, q); ``posterior``: its variances, (p,).
@@ -259,7 +280,9 @@ class _Linear:
             for channel in self.rows.channels:
                 axes = list(channel.axes)
                 squares[axes] = waves[axes] * channel.sigma_nt**2
-                residual += channel.sigma_nt**2 * self._square(channel.left(self.columns.columns, self._none, part), channel.y)
+                residual += channel.sigma_nt**2 * self._square(
+                    channel.left(self.columns.columns, self._none, part), channel.y
+                )
             rms = float(np.sqrt(residual / self.rows.count))
             sizes = np.sqrt(squares)
             found[name] = FamilyRecord(float(present[i]), rms, (float(sizes[0]), float(sizes[1]), float(sizes[2])))
@@ -310,8 +333,8 @@ def effective_share(rows: Rows, columns: Floats, reduced: Reduced) -> float:
     -----
     k = 1 / (1 + 2 sum of the autocorrelations), until the first one below 2 / root rows, at most 400 lags.
     """
-    a = np.linalg.solve(reduced.m + np.eye(len(reduced.v)) / _LARGEST**2, reduced.v)
-    d = reduced.offset - reduced.carry @ a
+    a = np.asarray(np.linalg.solve(reduced.m + np.eye(len(reduced.v)) / _LARGEST**2, reduced.v), np.float64)
+    d = np.asarray(reduced.offset - reduced.carry @ a)
     left = [channel.left(columns, d, a.reshape(-1, 3)) for channel in rows.channels]
     square = sum(float(e @ e) for e in left)
     if square <= 0.0:
@@ -328,7 +351,7 @@ def effective_share(rows: Rows, columns: Floats, reduced: Reduced) -> float:
 def _held_out(about: _Linear, folds: NDArray[np.intp], o: Observations) -> Floats:
     """Return the residual of each unseen block with the likeliest terms over that without any, shape (m,)."""
     roots, known = about.likeliest, about.moments.known
-    edges = [fold for fold in folds_of(o.t_s)]
+    edges = folds_of(o.t_s)
     if not roots.any():
         return np.ones(len(edges))
     used = np.flatnonzero(roots > 0)

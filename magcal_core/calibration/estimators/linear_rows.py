@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.calibration.fit import Fit, Observations, readings_without
-from magcal_core.calibration.jacobians import Standardised, matrix_jacobian, parameters_from_rows, rows_jacobian
+from magcal_core.calibration.jacobians import Standardised, parameters_from_rows, rows_jacobian
 from magcal_core.calibration.result import Parameters
-from magcal_core.regressor_columns import is_of_scale, term_nt
+from magcal_core.regressor_columns import is_of_scale
 from magcal_core.sensor import inverse_lower, lower_triangular_gauge, matrix_of_parameters
 
 Floats = NDArray[np.float64]
@@ -110,6 +110,8 @@ class Channel:
         Derivatives by the unknowns ``places``, shape (c,).
     carriers : shape (n, a)
         Change of y by a bias along the ``axes`` of the size of ``sigma_nt``.
+    by_field : shape (n,)
+        Change of y by one nT of |B|, or of the field's part along the axis.
     sigma_nt : float
         Standard deviation of the residual, nT.
     """
@@ -119,11 +121,19 @@ class Channel:
     places: NDArray[np.intp]
     carriers: Floats
     axes: tuple[int, ...]
+    by_field: Floats
     sigma_nt: float
 
     def terms_at(self, columns: int) -> NDArray[np.intp]:
         """Return where this channel's terms stand among all: column by column, three axes each."""
         return np.array([3 * c + axis for c in range(columns) for axis in self.axes], np.intp)
+
+    def over(self, sigma_nt: float, root: Floats) -> Channel:
+        """Return the channel, of nT so far, over its standard deviation and times the ``root`` of the weights."""
+        jacobian = (root / sigma_nt)[:, None] * self.jacobian
+        carriers, by_field = root[:, None] * self.carriers, root / sigma_nt * self.by_field
+        y = root * self.y / sigma_nt
+        return replace(self, y=y, jacobian=jacobian, carriers=carriers, by_field=by_field, sigma_nt=sigma_nt)
 
     def part(self, rows: slice) -> Channel:
         """Return the channel of these samples alone."""
@@ -186,9 +196,7 @@ class Rows:
         clock = at.time_offset_s
         if u.clocks and clock is not None:
             clock += float(d[u.size - u.clocks])
-        moved = Parameters(
-            at.bias_nt + change.bias_nt, change.scale, change.nonorthogonality_deg, clock, regressors
-        )
+        moved = Parameters(at.bias_nt + change.bias_nt, change.scale, change.nonorthogonality_deg, clock, regressors)
         return matrix, moved
 
 
@@ -245,23 +253,17 @@ def rows_of(
     matrix = _matrix(fit.parameters)
     here = (matrix, fit.parameters) if at is None else at
     make = _vector_channels if is_vector else _scalar_channels
-    root = np.sqrt(fit.weights)
-    used = fit.weights > 0
+    root, used = np.sqrt(fit.weights), fit.weights > 0
+    floor = _LEAST_SIGMA * float(np.mean(observations.b_nt))
     channels = []
-    for i, (y, jacobian, places, carriers, axes) in enumerate(make(observations, fit, here, unknowns)):
-        jacobian, carriers = root[:, None] * jacobian, root[:, None] * carriers  # noqa: PLW2901
-        weighed = root * y
-        if sigmas_nt is None:
-            freedom = int(np.count_nonzero(used)) - len(places)
-            floor = _LEAST_SIGMA * float(np.mean(observations.b_nt))
-            sigma = max(float(np.sqrt(weighed @ weighed / max(freedom, 1))), floor)
-        else:
-            sigma = sigmas_nt[i]
-        channels.append(Channel(weighed / sigma, jacobian / sigma, places, carriers, axes, sigma))
+    for i, raw in enumerate(make(observations, fit, here, unknowns)):
+        sigma = _sigma_nt(root * raw.y, int(np.count_nonzero(used)) - len(raw.places), floor)
+        channels.append(raw.over(sigma if sigmas_nt is None else sigmas_nt[i], root))
     return Rows(tuple(channels), unknowns, here[0], here[1], used)
 
 
-_Raw = tuple[Floats, Floats, NDArray[np.intp], Floats, tuple[int, ...]]
+def _sigma_nt(weighed_nt: Floats, freedom: int, floor_nt: float) -> float:
+    return max(float(np.sqrt(weighed_nt @ weighed_nt / max(freedom, 1))), floor_nt)
 
 
 def _matrix(parameters: Parameters) -> Floats:
@@ -281,9 +283,7 @@ def _scale_columns(o: Observations, unknowns: Unknowns) -> list[Floats]:
     return [o.regressors[name] / size for name, size in unknowns.scales]
 
 
-def _scalar_channels(
-    o: Observations, fit: Fit, here: tuple[Floats, Parameters], unknowns: Unknowns
-) -> list[_Raw]:
+def _scalar_channels(o: Observations, fit: Fit, here: tuple[Floats, Parameters], unknowns: Unknowns) -> list[Channel]:
     """Return |x| - |B| with its derivatives, or the geometric residual where the fit took noise into account."""
     matrix, parameters = here
     lower = inverse_lower(matrix)
@@ -298,16 +298,16 @@ def _scalar_channels(
         squares = np.einsum("ni,ni->n", g, g)
         y -= fit.noise_nt**2 * (float(np.sum(lower**2)) - squares) / (2.0 * length)
         over = 1.0 / np.sqrt(squares)
-        y, rate = y * over, o.rate_nt_s * over[:, None]
-        carriers = g * over[:, None]
+        y, carriers = y * over, g * over[:, None]
     else:
-        carriers, rate = g, o.rate_nt_s
+        over, carriers = np.ones(len(o)), g
     columns = [carriers[:, i] * x_nt[:, j] for i, j in unknowns.entries]
     jacobian = [np.column_stack(columns), carriers, *(carriers * z[:, None] for z in unknowns.drifts.columns.T)]
     jacobian += [carriers * term for term in _scale_columns(o, unknowns)]
     # A later clock has a smaller reference where it falls: the residual there is that much larger.
-    jacobian.append(-rate)
-    return [(y, np.column_stack(jacobian), np.arange(unknowns.size), carriers, (0, 1, 2))]
+    jacobian.append(-over[:, None] * o.rate_nt_s)
+    every, by_field = np.arange(unknowns.size), -over
+    return [Channel(y, np.column_stack(jacobian), every, carriers, (0, 1, 2), by_field, 1.0)]
 
 
 def _corrected(o: Observations, matrix: Floats, parameters: Parameters) -> Floats:
@@ -315,9 +315,7 @@ def _corrected(o: Observations, matrix: Floats, parameters: Parameters) -> Float
     return np.asarray((reading - parameters.bias_nt) @ inverse_lower(matrix).T)
 
 
-def _vector_channels(
-    o: Observations, fit: Fit, here: tuple[Floats, Parameters], unknowns: Unknowns
-) -> list[_Raw]:
+def _vector_channels(o: Observations, fit: Fit, here: tuple[Floats, Parameters], unknowns: Unknowns) -> list[Channel]:
     """Return h - T B - b of each axis with its derivatives; T and b are those of ``here``."""
     matrix, parameters = here
     own = _matrix(fit.parameters)
@@ -326,7 +324,7 @@ def _vector_channels(
     left = readings_without(o.regressors, o.h_nt, parameters) - parameters.bias_nt - field_nt @ matrix.T
     first, k, n = unknowns.bias.stop, len(unknowns.drifts.names), len(o)
     rates = np.zeros((n, unknowns.clocks, 3)) if o.rate_base_nt_s is None else o.rate_base_nt_s
-    found: list[_Raw] = []
+    found: list[Channel] = []
     for axis in range(3):
         entries = [at for at, (i, _) in enumerate(unknowns.entries) if i == axis]
         columns = [field_nt[:, : len(entries)], np.ones((n, 1)), unknowns.drifts.columns]
@@ -335,5 +333,6 @@ def _vector_channels(
         places = [*entries, unknowns.bias.start + axis]
         places += [first + 3 * j + axis for j in range(k + len(unknowns.scales))]
         places += range(unknowns.size - unknowns.clocks, unknowns.size)
-        found.append((left[:, axis], np.column_stack(columns), np.array(places, np.intp), np.ones((n, 1)), (axis,)))
+        at, ones = np.array(places, np.intp), np.ones((n, 1))
+        found.append(Channel(left[:, axis], np.column_stack(columns), at, ones, (axis,), -ones[:, 0], 1.0))
     return found
