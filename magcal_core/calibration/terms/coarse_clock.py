@@ -2,9 +2,9 @@
 
 Notes
 -----
-Where h = T B + b, |B|^2 is a quadric of h whatever T and b. The quadric's ten columns are orthonormalised once (Q); what
-an offset o leaves is ||y - Q Q'y||, y = |B|^2(t + o) of a spline of the model's field. Offsets beyond 12 h are not tried:
-after a day the orbit comes back to the same field.
+Where h = T B + b, |B|^2 is a quadric of h whatever T and b. The quadric's ten columns are orthonormalised once (Q);
+what an offset o leaves is ||y - Q Q'y||, y = |B|^2(t + o) of a spline of the model's field. Offsets beyond 12 h are not
+tried: after a day the orbit comes back to the same field.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def coarse_clock(observations: Observations, t_utc: Times, magnitude: Magnitude)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Quadric:
-    """Orthonormal columns, shape (r, 10), of the quadric of the readings ``rows``, each times the root of its weight."""
+    """Orthonormal columns, shape (r, 10), of the quadric of the readings ``rows``, times the roots of their weights."""
 
     rows: NDArray[np.intp]
     root: Floats
@@ -138,7 +138,9 @@ class _Quadric:
         return np.asarray(np.sqrt(np.einsum("mr,mr->m", y, y)))
 
 
-def _spline(begin: np.datetime64, first_s: float, last_s: float, magnitude: Magnitude) -> Callable[[Floats], Floats] | None:
+def _spline(
+    begin: np.datetime64, first_s: float, last_s: float, magnitude: Magnitude
+) -> Callable[[Floats], Floats] | None:
     """Return |B|^2 at seconds after ``begin``, from nodes 60 s apart that reach `LARGEST_S` beyond both ends."""
     from scipy.interpolate import CubicSpline
 

@@ -10,7 +10,6 @@ its cost. Each step of a search is the posterior mean, of at most 60 s; the refe
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -138,9 +137,7 @@ class ClockSearch:
         if not waving.is_converged:
             return found
         here = waving.observations.with_regressors(tuple(unmoved.regressors))
-        return replace(
-            waving, observations=here, fit=self.estimator.fit(here, self.settings), wave_periods_s=periods_s
-        )
+        return replace(waving, observations=here, fit=self.estimator.fit(here, self.settings), wave_periods_s=periods_s)
 
     def with_rates(self, observations: Observations, offset_s: float) -> Observations:
         """Return ``observations``, whose reference is at ``offset_s``, with its fall by the clock's offset."""
@@ -148,9 +145,7 @@ class ClockSearch:
 
     def _is_locked(self, period_s: float) -> bool:
         orbit_s = self.period_s
-        return orbit_s is not None and any(
-            abs(period_s * turns / orbit_s - 1.0) < _SAME_PERIOD for turns in (1.0, 2.0)
-        )
+        return orbit_s is not None and any(abs(period_s * turns / orbit_s - 1.0) < _SAME_PERIOD for turns in (1.0, 2.0))
 
     def _run(self, unmoved: Observations, begin_s: float) -> LockedClock:
         offset_s, settings, is_still = begin_s, self.settings, False
@@ -184,5 +179,3 @@ class ClockSearch:
         if sooner.b_base_nt is not None and later.b_base_nt is not None:
             base_fall = ((sooner.b_base_nt - later.b_base_nt) / (2.0 * _RATE_STEP_S))[:, None, :]
         return replace(here, rate_nt_s=np.ascontiguousarray(fall), rate_base_nt_s=base_fall)
-
-
