@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.calibration.fit import Fit, Observations, readings_without
+from magcal_core.calibration.fit import Fit, Observations, readings_without, scaled_inverse
 from magcal_core.calibration.jacobians import Standardised, parameters_from_rows, rows_jacobian
 from magcal_core.calibration.result import Parameters
 from magcal_core.regressor_columns import is_of_scale
@@ -257,7 +257,12 @@ def rows_of(
     floor = _LEAST_SIGMA * float(np.mean(observations.b_nt))
     channels = []
     for i, raw in enumerate(make(observations, fit, here, unknowns)):
-        sigma = _sigma_nt(root * raw.y, int(np.count_nonzero(used)) - len(raw.places), floor)
+        left = root * raw.y
+        if is_full:
+            # The fit is one of fewer elements: what these rows leave is what their own solution leaves.
+            weighed = root[:, None] * raw.jacobian
+            left = left - weighed @ (scaled_inverse(weighed.T @ weighed) @ (weighed.T @ left))
+        sigma = _sigma_nt(left, int(np.count_nonzero(used)) - len(raw.places), floor)
         channels.append(raw.over(sigma if sigmas_nt is None else sigmas_nt[i], root))
     return Rows(tuple(channels), unknowns, here[0], here[1], used)
 

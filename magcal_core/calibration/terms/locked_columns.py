@@ -190,7 +190,7 @@ def _filtered(light: Floats, steps: Floats, gap_s: float, tau_s: float) -> Float
     here = mean
     for i in range(light.size):
         if i:
-            towards = mean if steps[i] > gap_s else 0.5 * (light[i] + light[i - 1])
+            towards = mean if steps[i] > gap_s else light[i]
             here = towards + (here - towards) * np.exp(-steps[i] / tau_s)
         y[i] = here
     return y

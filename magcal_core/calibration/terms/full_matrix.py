@@ -1,0 +1,139 @@
+"""All nine elements of T from components, where the data give up the lower-triangular hypothesis.
+
+Notes
+-----
+Twelve parameters, row by row: each h_i on B1, B2, B3 and 1, beside the terms of `locked` row by row. T12 = T13 = T23 =
+0 is tested by Wald's statistic with *that* covariance, errors of the reference in it: three degrees of freedom. Soft
+iron and a mounting that is not what the attitude says give it up; then the twelve are the result.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_core.calibration.fit import Fit, Observations, corrected_nt, readings_without, scaled_inverse
+from magcal_core.calibration.reference_errors import ReferenceErrors
+from magcal_core.calibration.result import Parameters
+from magcal_core.calibration.rows import MISALIGNED_P
+from magcal_core.calibration.selection import folds_of
+from magcal_core.calibration.terms.locked import LockedTerms, locked_terms
+from magcal_core.calibration.terms.locked_columns import LockedColumns
+from magcal_core.sensor import lower_triangular_gauge
+
+Floats = NDArray[np.float64]
+
+_UPPER: Final = np.array([1, 2, 5])
+"""Where T12, T13 and T23 stand among the elements of T, row by row."""
+_BY_ROW: Final = np.array([0, 1, 2, 9, 3, 4, 5, 10, 6, 7, 8, 11])
+"""Elements of T row by row and the bias -> T11 T12 T13 b1 T21 .."""
+_WORTH_A_TEST: Final = 0.01
+"""Probability, under white noise, above which no honest test gives the hypothesis up."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FullMatrix:
+    """The twelve parameters.
+
+    Attributes
+    ----------
+    terms : LockedTerms
+        With their covariance beside locked errors.
+    covariance : shape (12, 12)
+        Of T, row by row, and the bias; errors of the reference in it.
+    parameter_covariance : shape (p, p)
+        Of bias, scale and angles of T_low, and the rest, errors of the reference in it.
+    p_value : float
+        Of Wald's test that the three elements above the diagonal are zero.
+    """
+
+    terms: LockedTerms
+    covariance: Floats
+    parameter_covariance: Floats
+    p_value: float
+
+    @property
+    def is_taken(self) -> bool:
+        """Whether the data give the lower-triangular matrix up."""
+        return self.p_value < MISALIGNED_P
+
+    @property
+    def matrix(self) -> Floats:
+        """T, shape (3, 3)."""
+        return self.terms.matrix
+
+    @property
+    def standard_errors(self) -> Floats:
+        """Standard errors of the elements of T, shape (3, 3)."""
+        return np.sqrt(np.diag(self.covariance)[:9]).reshape(3, 3)
+
+    @property
+    def covariance_by_row(self) -> Floats:
+        """The covariance in the order T11 T12 T13 b1 T21 .. b3, shape (12, 12)."""
+        return self.covariance[np.ix_(_BY_ROW, _BY_ROW)]
+
+    @property
+    def rotation_deg(self) -> float:
+        """Angle of the rotation R of T = T_low R, deg."""
+        rotation = lower_triangular_gauge(self.matrix)[1]
+        proper = rotation * np.sign(np.linalg.det(rotation))
+        return float(np.rad2deg(np.arccos(np.clip((np.trace(proper) - 1.0) / 2.0, -1.0, 1.0))))
+
+    def fit(self, observations: Observations, fit: Fit) -> Fit:
+        """Return ``fit`` with the parameters of T_low and the residuals that the full matrix leaves."""
+        parameters = self.terms.parameters
+        reading = readings_without(observations.regressors, observations.h_nt, parameters) - parameters.bias_nt
+        before = corrected_nt(observations, fit.parameters) - fit.residuals_nt
+        return replace(fit, parameters=parameters, residuals_nt=reading @ np.linalg.inv(self.matrix).T - before)
+
+
+def is_worth_a_test(p_value: float) -> bool:
+    """Return whether an F-test under white noise leaves any doubt of the lower-triangular matrix."""
+    return p_value < _WORTH_A_TEST
+
+
+def full_matrix(
+    observations: Observations,
+    fit: Fit,
+    columns: LockedColumns,
+    errors: ReferenceErrors | None,
+    duration_s: float,
+) -> FullMatrix:
+    """Return the twelve parameters from the weights of a vector ``fit``, and the test whether they are needed."""
+    from scipy.special import chdtrc
+
+    terms = locked_terms(observations, fit, columns, duration_s, "full")
+    covariance = terms.unknown_covariance[:12, :12].copy()
+    of_parameters = terms.covariance.copy()
+    if errors is not None:
+        linear, moves = errors.moves(observations, fit, is_full=True)
+        covariance += moves[:, :12].T @ moves[:, :12]
+        shifts = moves @ linear.unknowns.to_parameters(terms.matrix).T
+        of_parameters += shifts.T @ shifts
+    upper = terms.matrix.ravel()[_UPPER]
+    wald = float(upper @ scaled_inverse(covariance[np.ix_(_UPPER, _UPPER)]) @ upper)
+    return FullMatrix(terms, covariance, of_parameters, float(chdtrc(3, wald)))
+
+
+def unseen_rms_nt(observations: Observations, fit: Fit, matrix: Floats, parameters: Parameters) -> float | None:
+    """Return the root mean square residual of a component, nT, of blocks that twelve parameters have not seen.
+
+    The regressors' slopes stay those of ``parameters``. None where the rest does not determine them.
+    """
+    field_nt = corrected_nt(observations, fit.parameters) - fit.residuals_nt
+    reading = readings_without(observations.regressors, observations.h_nt, parameters)
+    design = np.column_stack([field_nt, np.ones(len(field_nt))])
+    back, squares, count = np.linalg.inv(matrix).T, 0.0, 0
+    for fold in folds_of(observations.t_s):
+        weights = fit.weights.copy()
+        weights[fold] = 0.0
+        normal = design.T @ (weights[:, None] * design)
+        if np.linalg.cond(normal / np.sqrt(np.outer(np.diag(normal), np.diag(normal)))) > 1e12:
+            return None
+        found = scaled_inverse(normal) @ design.T @ (weights[:, None] * reading)
+        left = (reading[fold] - design[fold] @ found)[fit.weights[fold] > 0] @ back
+        squares, count = squares + float(np.sum(left**2)), count + left.size
+    return float(np.sqrt(squares / max(count, 1)))
