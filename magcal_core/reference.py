@@ -13,6 +13,7 @@ from magcal_core.attitude.rotation import rotate_rows
 from magcal_core.calibration.corrections import lengths
 from magcal_core.errors import OrbitMissingError
 from magcal_core.field import FieldModel
+from magcal_core.field.igrf import MAX_RADIUS_KM
 from magcal_core.field_along import Part, field_of_parts, positions_km
 from magcal_core.orbit import Orbit
 from magcal_core.orbit.choose import MAX_AGE_DAYS, NO_ORBIT, BoundedOrbit, check_age, choose_orbits
@@ -23,6 +24,8 @@ Mask = NDArray[np.bool_]
 
 TELEMETRY_REFERENCE: Final = "telemetry-reference"
 TELEMETRY_POSITION: Final = "telemetry-position"
+WEAK_SHARE: Final = 0.05
+"""Field, as a share of the session's largest, below which a sample says more of the bias than of the sensor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +94,8 @@ def with_reference(
         if has_place.all() or not orbits:
             report = ReferenceReport(TELEMETRY_POSITION, (), field.name)
             parts = [Part.of(None, np.flatnonzero(has_place))]
-            return _with_field(samples, t_true, samples.r_itrf_km, parts, field), report
+            filled = _with_field(samples, t_true, samples.r_itrf_km, parts, field)
+            return filled, replace(report, warnings=_far_warnings(filled))
     return _from_orbits(samples, t_true, orbits, field, max_age_days=max_orbit_age_days)
 
 
@@ -115,7 +119,19 @@ def _from_orbits(
         warnings.append(f"orbit_gap: no orbit covers {gap} of {len(samples)} samples")
     report = ReferenceReport("+".join(sorted(models)), tuple(entries), field.name, tuple(warnings))
     cleared = samples.flags & ~np.where(has_place, np.uint16(SampleFlag.NO_REFERENCE), np.uint16(0))
-    return _with_field(replace(samples, flags=cleared), t_true, r_itrf_km, parts, field), report
+    filled = _with_field(replace(samples, flags=cleared), t_true, r_itrf_km, parts, field)
+    return filled, replace(report, warnings=(*report.warnings, *_far_warnings(filled)))
+
+
+def _far_warnings(samples: Samples) -> tuple[str, ...]:
+    """Return a warning of the samples that are too far out to be used; none where there are none."""
+    count = int(np.count_nonzero(samples.flags & np.uint16(SampleFlag.FAR)))
+    if not count:
+        return ()
+    return (
+        f"far_samples_left_out: {count} of {len(samples)} samples are beyond {MAX_RADIUS_KM:.0f} km, or where the field "
+        f"is less than a {1 / WEAK_SHARE:.0f}th of the session's largest",
+    )
 
 
 def _places(
@@ -176,6 +192,9 @@ def _not_covered(orbits: Sequence[Orbit], t_utc: Times) -> str:
 def _with_field(samples: Samples, t_utc: Times, r_itrf_km: Floats, parts: Sequence[Part], field: FieldModel) -> Samples:
     """Return the samples with position and field; ``t_utc`` is the true time of each."""
     n, q = len(samples), samples.q_base_gcrf
+    is_far = lengths(r_itrf_km) > MAX_RADIUS_KM
+    if is_far.any() and not is_far.all():
+        parts = [Part.of(part.orbit, rows[~is_far[rows]]) for part in parts if (rows := _rows_of(part, n)).size]
     magnitude_nt = np.full(n, np.nan)
     b_gcrf_nt, b_base_nt = (None, None) if q is None else np.full((2, n, 3), np.nan)
     for rows, b_nt in field_of_parts(t_utc, parts, field, is_gcrf=q is not None, r_itrf_km=r_itrf_km):
@@ -190,7 +209,14 @@ def _with_field(samples: Samples, t_utc: Times, r_itrf_km: Floats, parts: Sequen
         b_ref_gcrf_nt=b_gcrf_nt,
         b_ref_base_nt=b_base_nt,
     )
-    return filled.flagged(SampleFlag.NO_REFERENCE, np.isnan(magnitude_nt))
+    is_far |= magnitude_nt < WEAK_SHARE * np.nanmax(magnitude_nt, initial=0.0)
+    if is_far.any():
+        filled = filled.flagged(SampleFlag.FAR, is_far)
+    return filled.flagged(SampleFlag.NO_REFERENCE, np.isnan(magnitude_nt) & ~is_far)
+
+
+def _rows_of(part: Part, n: int) -> NDArray[np.intp]:
+    return np.arange(n)[part.rows]
 
 
 def finite_rows(columns: Floats) -> Mask:

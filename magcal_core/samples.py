@@ -38,6 +38,8 @@ class SampleFlag(enum.IntFlag):
     """the quaternion is missing or not a unit quaternion"""
     NO_HOUSEKEEPING = 256
     """a housekeeping column has no value here"""
+    FAR = 8192
+    """beyond the reach of the field model, or where the field is less than a twentieth of the session's largest"""
 
 
 EXCLUDED: Final = (
@@ -46,6 +48,7 @@ EXCLUDED: Final = (
     | SampleFlag.CONFLICTING_TIME
     | SampleFlag.SATURATED
     | SampleFlag.NO_REFERENCE
+    | SampleFlag.FAR
 )
 """Flags that keep a sample out of every fit."""
 
