@@ -13,7 +13,8 @@ METHODS: Final = ("scalar", "scalar-hooke-jeeves", "vector", "vector-closed-form
 ORBIT_MODELS: Final = ("sgp4", "numerical")
 TIME_OFFSETS: Final = ("auto", "none", "estimate")
 ROBUST_LOSSES: Final = ("none", "huber", "soft_l1", "cauchy", "tukey")
-NOISE_MODELS: Final = ("none", "white")
+NOISE_MODELS: Final = ("auto", "none", "white")
+LOCKED_TERMS: Final = ("auto", "none")
 
 
 class OptionValues(TypedDict, total=False):
@@ -29,6 +30,7 @@ class OptionValues(TypedDict, total=False):
     robust: str
     noise_model: str
     noise_nt: float | None
+    locked_terms: str
     max_orbit_age_days: float
     bootstrap: int
     seed: int
@@ -43,12 +45,15 @@ class CalibrationOptions:
     method : one of `METHODS`.
     field, field_max_degree : field model by name; the degree that it is cut at, None for its own.
     orbit : ``sgp4`` as the elements are meant, or ``numerical`` integration from them.
-    time_offset : ``none``, ``estimate``, or ``auto``: where the orbit is more than 3 d from the data and they show one.
+    time_offset : ``none``, ``estimate``, or ``auto``: taken where the data show one that matters.
     time_drift : estimate a drift of the clock beside its offset.
     regressors : housekeeping columns that move the bias (``time``: hours since the first sample), or ``auto``;
         ``temperature*h``: that column moves the scale.
-    robust, noise_model : loss and noise model.
+    robust : loss.
+    noise_model : ``none``, ``white`` noise in the reading, or ``auto``: white where it moves a parameter by half its
+        standard error.
     noise_nt : noise of one component, nT, where it is known.
+    locked_terms : ``auto``: errors of the bias that follow orbit, heat and sun are considered; ``none``: they are not.
     max_orbit_age_days : orbits further from the data are refused.
     bootstrap : replicates of the block bootstrap, 0 for none; ``seed`` makes them repeatable.
 
@@ -66,8 +71,9 @@ class CalibrationOptions:
     time_drift: bool = False
     regressors: str | tuple[str, ...] = ()
     robust: str = "none"
-    noise_model: str = "none"
+    noise_model: str = "auto"
     noise_nt: float | None = None
+    locked_terms: str = "auto"
     max_orbit_age_days: float = 14.0
     bootstrap: int = 0
     seed: int = 0
@@ -166,6 +172,7 @@ _CHECKS: Final[Mapping[str, _Check]] = {
     "robust": _one_of(ROBUST_LOSSES),
     "noise_model": _one_of(NOISE_MODELS),
     "noise_nt": _number(1e-6, 1e6, "nT", may_be_none=True),
+    "locked_terms": _one_of(LOCKED_TERMS),
     "max_orbit_age_days": _number(0.0, 36525.0, "d"),
     "bootstrap": _whole(0, 10_000),
     "seed": _whole(0, 2**63 - 1),

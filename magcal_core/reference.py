@@ -129,8 +129,8 @@ def _far_warnings(samples: Samples) -> tuple[str, ...]:
     if not count:
         return ()
     return (
-        f"far_samples_left_out: {count} of {len(samples)} samples are beyond {MAX_RADIUS_KM:.0f} km, or where the field "
-        f"is less than a {1 / WEAK_SHARE:.0f}th of the session's largest",
+        f"far_samples_left_out: {count} of {len(samples)} samples are beyond {MAX_RADIUS_KM:.0f} km, or where the "
+        f"field is less than a {1 / WEAK_SHARE:.0f}th of the session's largest",
     )
 
 
@@ -194,7 +194,8 @@ def _with_field(samples: Samples, t_utc: Times, r_itrf_km: Floats, parts: Sequen
     n, q = len(samples), samples.q_base_gcrf
     is_far = lengths(r_itrf_km) > MAX_RADIUS_KM
     if is_far.any() and not is_far.all():
-        parts = [Part.of(part.orbit, rows[~is_far[rows]]) for part in parts if (rows := _rows_of(part, n)).size]
+        near = [(part.orbit, _rows_of(part, n)) for part in parts]
+        parts = [Part.of(orbit, rows[~is_far[rows]]) for orbit, rows in near if not is_far[rows].all()]
     magnitude_nt = np.full(n, np.nan)
     b_gcrf_nt, b_base_nt = (None, None) if q is None else np.full((2, n, 3), np.nan)
     for rows, b_nt in field_of_parts(t_utc, parts, field, is_gcrf=q is not None, r_itrf_km=r_itrf_km):

@@ -195,6 +195,7 @@ class FitSettings:
     """How to fit: robust loss, noise model, noise of a component (nT, where known), start (for studies).
 
     ``near``: a fit under the same settings to nearly the same data, where the search begins and whose scale it takes.
+    ``is_gated``: whether samples that do not determine the parameters are refused; else that is for the caller to ask.
     """
 
     robust: str = "none"
@@ -202,6 +203,7 @@ class FitSettings:
     noise_nt: float | None = None
     start: Parameters | None = None
     near: Fit | None = None
+    is_gated: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)

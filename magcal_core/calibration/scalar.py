@@ -148,7 +148,9 @@ class ScalarFit:
             return _assemble(self.name, task, _on_all(task, _beside(task, settings.near), settings))
         few = task.thinned()
         plain = _plain(few, settings)
-        require_observable(few.observations, plain.minimum.theta, plain.minimum.normal)
+        _require_ellipsoid(plain.minimum.theta)
+        if settings.is_gated:
+            require_observable(few.observations, plain.minimum.theta, plain.minimum.normal)
         solution = _refined(few, plain, settings, _STILL if few is task else _STILL_ON_ALL)
         if few is not task:
             solution = _on_all(task, solution, settings)
@@ -200,9 +202,8 @@ def require_observable(observations: Observations, theta: Floats, normal: Floats
         `ScalarInformation` is below `UNOBSERVABLE_BELOW`, by either index.
     """
     lower = lower_of_theta(theta)
+    _require_ellipsoid(theta)
     matrix, bias_nt, _ = rows_from_theta(theta, 0)
-    if not np.isfinite(matrix).all():
-        raise NotObservableError("no ellipsoid fits the readings: none of the parameters can be told", PARAMETER_NAMES)
     x_nt, used = correct(observations.h_nt, bias_nt, lower), observations.weights > 0
     geometric_nt, none = np.empty(len(used)), np.zeros((len(used), 0))
     residuals(observations.h_nt, observations.b_nt, none, none, theta[:9], 0.0, geometric_nt)
@@ -218,6 +219,11 @@ def require_observable(observations: Observations, theta: Floats, normal: Floats
         f"{UNOBSERVABLE_BELOW:g}; condition number {condition_number(normal[:9, :9]):.3g}",
         [PARAMETER_NAMES[i] for i in named],
     )
+
+
+def _require_ellipsoid(theta: Floats) -> None:
+    if not np.isfinite(rows_from_theta(theta, 0)[0]).all():
+        raise NotObservableError("no ellipsoid fits the readings: none of the parameters can be told", PARAMETER_NAMES)
 
 
 def _plain(task: _Task, settings: FitSettings) -> _Solution:

@@ -38,7 +38,7 @@ _T_95: Final = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HonestCovariance:
-    """Covariance of the parameters, in the order of `Parameters.names`, and the blocks it was taken from.
+    """Covariance of the parameters, in the order of `Parameters.names`, and how long a block of samples remembers.
 
     The covariance contains Student's t: 1.96 standard errors are 95 % although the frequencies are few.
     ``longest_memory_s``: up to which correlation time, s, errors were allowed for.
@@ -62,16 +62,20 @@ def honest_covariance(scores: BlockScores, formal: Floats, samples: int, duratio
 
     ``duration_s``: time that the samples cover, s (`covered_s`).
     """
+    widening = np.sqrt(honest_variances(scores, formal, duration_s) / np.maximum(np.diag(formal), 1e-300))
+    widened = formal * np.outer(widening, widening)
+    return with_blocks(widened, scores, samples, duration_s)
+
+
+def with_blocks(covariance: Floats, scores: BlockScores, samples: int, duration_s: float) -> HonestCovariance:
+    """Return ``covariance`` with how many blocks of the scores are nearly independent, and how long these are."""
     count = len(scores.starts)
     per_block = _block_length(scores)
     edges = np.arange(0, count, per_block)
     if len(edges) > MIN_BLOCKS and count - edges[-1] < per_block / 2:
         edges = edges[:-1]
-    widening = np.sqrt(honest_variances(scores, formal, duration_s) / np.maximum(np.diag(formal), 1e-300))
-    widened = formal * np.outer(widening, widening)
-    return HonestCovariance(
-        widened, len(edges), max(1, round(samples * per_block / count)), longest_memory_s(duration_s)
-    )
+    block_samples = max(1, round(samples * per_block / count))
+    return HonestCovariance(covariance, len(edges), block_samples, longest_memory_s(duration_s))
 
 
 def honest_variances(scores: BlockScores, formal: Floats, duration_s: float) -> Floats:

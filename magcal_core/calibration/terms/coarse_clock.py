@@ -72,7 +72,7 @@ def quadric_share(observations: Observations) -> float:
     quadric = _Quadric.of(observations)
     squares = observations.b_nt[quadric.rows] ** 2
     left = float(quadric.left(squares[None])[0]) / np.sqrt(len(squares))
-    return left / (2.0 * float(np.mean(squares)))
+    return float(left / (2.0 * np.mean(squares)))
 
 
 def coarse_clock(observations: Observations, t_utc: Times, magnitude: Magnitude) -> CoarseClock | None:
@@ -149,7 +149,8 @@ def _spline(
     if len(nodes) > _MOST_NODES:
         return None
     times = begin.astype("datetime64[ns]") + np.round(nodes * 1e9).astype("timedelta64[ns]")
-    return CubicSpline(nodes, magnitude(times) ** 2)  # type: ignore[no-any-return]
+    spline = CubicSpline(nodes, magnitude(times) ** 2)
+    return lambda at_s: np.asarray(spline(at_s), np.float64)
 
 
 def _minima(offsets: Floats, sizes: Floats) -> list[float]:

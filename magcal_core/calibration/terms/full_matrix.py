@@ -9,6 +9,7 @@ iron and a mounting that is not what the attitude says give it up; then the twel
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -30,6 +31,8 @@ _UPPER: Final = np.array([1, 2, 5])
 """Where T12, T13 and T23 stand among the elements of T, row by row."""
 _BY_ROW: Final = np.array([0, 1, 2, 9, 3, 4, 5, 10, 6, 7, 8, 11])
 """Elements of T row by row and the bias -> T11 T12 T13 b1 T21 .."""
+_STEP: Final = 1e-5
+_SINGULAR: Final = 1e12
 _WORTH_A_TEST: Final = 0.01
 """Probability, under white noise, above which no honest test gives the hypothesis up."""
 
@@ -48,12 +51,18 @@ class FullMatrix:
         Of bias, scale and angles of T_low, and the rest, errors of the reference in it.
     p_value : float
         Of Wald's test that the three elements above the diagonal are zero.
+    lower_residuals_nt : shape (n, 3)
+        Residuals of the fit with a lower triangular T, base frame, nT.
+    lower_parameters : Parameters
+        The parameters of that fit.
     """
 
     terms: LockedTerms
     covariance: Floats
     parameter_covariance: Floats
     p_value: float
+    lower_residuals_nt: Floats
+    lower_parameters: Parameters
 
     @property
     def is_taken(self) -> bool:
@@ -68,7 +77,7 @@ class FullMatrix:
     @property
     def standard_errors(self) -> Floats:
         """Standard errors of the elements of T, shape (3, 3)."""
-        return np.sqrt(np.diag(self.covariance)[:9]).reshape(3, 3)
+        return np.asarray(np.sqrt(np.diag(self.covariance)[:9]).reshape(3, 3), np.float64)
 
     @property
     def covariance_by_row(self) -> Floats:
@@ -78,16 +87,52 @@ class FullMatrix:
     @property
     def rotation_deg(self) -> float:
         """Angle of the rotation R of T = T_low R, deg."""
-        rotation = lower_triangular_gauge(self.matrix)[1]
-        proper = rotation * np.sign(np.linalg.det(rotation))
-        return float(np.rad2deg(np.arccos(np.clip((np.trace(proper) - 1.0) / 2.0, -1.0, 1.0))))
+        return _turn(self.matrix)
+
+    @property
+    def warning(self) -> str:
+        """Say that the lower-triangular matrix was given up."""
+        return (
+            f"misaligned: soft iron or a mounting that turns the sensor by {self.rotation_deg:.2f} deg from its base "
+            f"frame (p = {self.p_value:.1g}): all nine elements of the matrix are the result"
+        )
+
+    @property
+    def rotation_error_deg(self) -> float:
+        """Standard error of that angle, deg: by differences of the elements of T."""
+        slopes = np.zeros(9)
+        for at in range(9):
+            ends = []
+            for sign in (1.0, -1.0):
+                moved = self.matrix.ravel().copy()
+                moved[at] += sign * _STEP
+                ends.append(_turn(moved.reshape(3, 3)))
+            slopes[at] = (ends[0] - ends[1]) / (2.0 * _STEP)
+        return float(np.sqrt(slopes @ self.covariance[:9, :9] @ slopes))
+
+    def field_nt(self, observations: Observations) -> Floats:
+        """Return the field in the base frame that the fit was made to, shape (n, 3), nT, at its clock."""
+        return corrected_nt(observations, self.lower_parameters) - self.lower_residuals_nt
 
     def fit(self, observations: Observations, fit: Fit) -> Fit:
         """Return ``fit`` with the parameters of T_low and the residuals that the full matrix leaves."""
         parameters = self.terms.parameters
         reading = readings_without(observations.regressors, observations.h_nt, parameters) - parameters.bias_nt
-        before = corrected_nt(observations, fit.parameters) - fit.residuals_nt
-        return replace(fit, parameters=parameters, residuals_nt=reading @ np.linalg.inv(self.matrix).T - before)
+        left = reading @ np.linalg.inv(self.matrix).T - self.field_nt(observations)
+        return replace(fit, parameters=parameters, residuals_nt=left)
+
+
+def _turn(matrix: Floats) -> float:
+    """Return the angle, deg, of R in T = T_low R."""
+    rotation = lower_triangular_gauge(matrix)[1]
+    proper = rotation * np.sign(np.linalg.det(rotation))
+    return float(np.rad2deg(np.arccos(np.clip((np.trace(proper) - 1.0) / 2.0, -1.0, 1.0))))
+
+
+def p_of_lower(fit: Fit) -> float:
+    """Return the probability that an F-test under white noise gives a vector ``fit``'s lower-triangular matrix."""
+    found = fit.extras.get("full_matrix")
+    return float(found["p_value"]) if isinstance(found, Mapping) else 1.0
 
 
 def is_worth_a_test(p_value: float) -> bool:
@@ -115,23 +160,25 @@ def full_matrix(
         of_parameters += shifts.T @ shifts
     upper = terms.matrix.ravel()[_UPPER]
     wald = float(upper @ scaled_inverse(covariance[np.ix_(_UPPER, _UPPER)]) @ upper)
-    return FullMatrix(terms, covariance, of_parameters, float(chdtrc(3, wald)))
+    p_value = float(chdtrc(3, wald))
+    return FullMatrix(terms, covariance, of_parameters, p_value, fit.residuals_nt, fit.parameters)
 
 
-def unseen_rms_nt(observations: Observations, fit: Fit, matrix: Floats, parameters: Parameters) -> float | None:
+def unseen_rms_nt(observations: Observations, fit: Fit, full: FullMatrix) -> float | None:
     """Return the root mean square residual of a component, nT, of blocks that twelve parameters have not seen.
 
-    The regressors' slopes stay those of ``parameters``. None where the rest does not determine them.
+    The regressors' slopes stay those of all data. None where the rest does not determine the parameters.
     """
-    field_nt = corrected_nt(observations, fit.parameters) - fit.residuals_nt
-    reading = readings_without(observations.regressors, observations.h_nt, parameters)
+    field_nt = full.field_nt(observations)
+    reading = readings_without(observations.regressors, observations.h_nt, full.terms.parameters)
     design = np.column_stack([field_nt, np.ones(len(field_nt))])
-    back, squares, count = np.linalg.inv(matrix).T, 0.0, 0
+    back, squares, count = np.linalg.inv(full.matrix).T, 0.0, 0
     for fold in folds_of(observations.t_s):
         weights = fit.weights.copy()
         weights[fold] = 0.0
         normal = design.T @ (weights[:, None] * design)
-        if np.linalg.cond(normal / np.sqrt(np.outer(np.diag(normal), np.diag(normal)))) > 1e12:
+        size = np.sqrt(np.diag(normal))
+        if np.linalg.cond(normal / np.outer(size, size)) > _SINGULAR:
             return None
         found = scaled_inverse(normal) @ design.T @ (weights[:, None] * reading)
         left = (reading[fold] - design[fold] @ found)[fit.weights[fold] > 0] @ back

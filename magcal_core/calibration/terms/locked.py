@@ -25,7 +25,7 @@ from magcal_core.calibration.result import Parameters
 from magcal_core.calibration.selection import folds_of
 from magcal_core.calibration.terms.evidence import Mixture, Reduced, mixture_of
 from magcal_core.calibration.terms.locked_columns import LockedColumns
-from magcal_core.calibration.uncertainty import student_95
+from magcal_core.calibration.uncertainty import HonestCovariance, student_95, with_blocks
 
 Floats = NDArray[np.float64]
 Kind = Literal["fit", "clock", "full"]
@@ -89,6 +89,8 @@ class LockedTerms:
         Those without any term.
     step : shape (q,)
         Change of the elements of T, the bias and the rest against the fit.
+    columns : LockedColumns
+        What was held against.
     """
 
     parameters: Parameters
@@ -103,11 +105,16 @@ class LockedTerms:
     unseen_sun_nt: float
     plain: Parameters
     step: Floats
+    columns: LockedColumns
 
     @property
     def shift(self) -> Floats:
         """Estimate less the plain one, shape (p,), in the order of `Parameters.names`."""
         return self.parameters.vector - self.plain.vector
+
+    def honest(self, fit: Fit, samples: int, duration_s: float) -> HonestCovariance:
+        """Return the covariance with the blocks of ``fit``, whose samples cover ``duration_s``, s."""
+        return with_blocks(self.covariance, fit.blocks, samples, duration_s)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -202,6 +209,7 @@ def locked_terms(
         unseen_sun_nt=sun_nt,
         plain=begun.moved(base)[1],
         step=end,
+        columns=columns,
     )
 
 

@@ -36,7 +36,7 @@ ORBIT_SIGMAS: Final = 3.0
 """The same in standard deviations of the orbit's own error along track."""
 LARGEST_S: Final = 43_200.0
 _ROUNDS: Final = 15
-_RATE_STEP_S: Final = 0.5
+RATE_STEP_S: Final = 0.5
 _SAME_PERIOD: Final = 0.1
 """Relative difference from the orbit's period, or half of it, within which a wave is one of the families'."""
 
@@ -69,6 +69,11 @@ class LockedClock:
     wave_periods_s: tuple[float, ...] = ()
 
     @property
+    def offset_error_s(self) -> float:
+        """Standard error of the offset, s."""
+        return self.error_s
+
+    @property
     def test(self) -> ClockTest:
         """The test of the offset."""
         return ClockTest(self.offset_s, self.error_s)
@@ -83,6 +88,16 @@ class LockedClock:
     def is_bounded(self) -> bool:
         """Whether an offset that the data do not show would be too small to matter."""
         return self.is_converged and self.error_s <= BOUNDED_S
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the clock as the records have it."""
+        return {
+            **self.test.to_dict(),
+            "is_significant": self.is_significant,
+            "drift_s_per_day": None,
+            "drift_standard_error_s_per_day": None,
+            "wave_periods_s": list(self.wave_periods_s),
+        }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,10 +154,6 @@ class ClockSearch:
         here = waving.observations.with_regressors(tuple(unmoved.regressors))
         return replace(waving, observations=here, fit=self.estimator.fit(here, self.settings), wave_periods_s=periods_s)
 
-    def with_rates(self, observations: Observations, offset_s: float) -> Observations:
-        """Return ``observations``, whose reference is at ``offset_s``, with its fall by the clock's offset."""
-        return self._with_rates(offset_s, observations)
-
     def _is_locked(self, period_s: float) -> bool:
         orbit_s = self.period_s
         return orbit_s is not None and any(abs(period_s * turns / orbit_s - 1.0) < _SAME_PERIOD for turns in (1.0, 2.0))
@@ -171,11 +182,14 @@ class ClockSearch:
 
     def _with_rates(self, offset_s: float, here: Observations) -> Observations:
         n = len(here)
-        later, sooner = (
-            self.at(np.full(n, offset_s + step_s), slice(None)) for step_s in (_RATE_STEP_S, -_RATE_STEP_S)
-        )
-        fall = ((sooner.b_nt - later.b_nt) / (2.0 * _RATE_STEP_S))[:, None]
-        base_fall = None
-        if sooner.b_base_nt is not None and later.b_base_nt is not None:
-            base_fall = ((sooner.b_base_nt - later.b_base_nt) / (2.0 * _RATE_STEP_S))[:, None, :]
-        return replace(here, rate_nt_s=np.ascontiguousarray(fall), rate_base_nt_s=base_fall)
+        later, sooner = (self.at(np.full(n, offset_s + step_s), slice(None)) for step_s in (RATE_STEP_S, -RATE_STEP_S))
+        return with_fall(here, later, sooner)
+
+
+def with_fall(here: Observations, later: Observations, sooner: Observations) -> Observations:
+    """Return ``here`` with the fall of its reference, from those `RATE_STEP_S` later and sooner."""
+    fall = ((sooner.b_nt - later.b_nt) / (2.0 * RATE_STEP_S))[:, None]
+    base_fall = None
+    if sooner.b_base_nt is not None and later.b_base_nt is not None:
+        base_fall = ((sooner.b_base_nt - later.b_base_nt) / (2.0 * RATE_STEP_S))[:, None, :]
+    return replace(here, rate_nt_s=np.ascontiguousarray(fall), rate_base_nt_s=base_fall)

@@ -107,7 +107,7 @@ def surrogates_of(
     return max(_log_mean(one) for one in gains)
 
 
-_PAIRS: Final = tuple(itertools.product(SIZES, repeat=2))
+_PAIRS: Final = tuple((first, second) for first in SIZES for second in SIZES)
 _LOG_PRIOR: Final = {size: float(np.log((1.0 - ABSENT) / (len(SIZES) - 1) if size else ABSENT)) for size in SIZES}
 
 
