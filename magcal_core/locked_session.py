@@ -155,6 +155,11 @@ class ClockOutcome:
         return self.found if self.is_taken else None
 
     @property
+    def is_searched(self) -> bool:
+        """Whether there was a search, and not one step that said there is no need of one."""
+        return self.found is not None and (isinstance(self.found, ClockFit) or self.found.is_searched)
+
+    @property
     def is_known(self) -> bool:
         """Whether the clock is known, or so well looked for that it does not matter."""
         return self.is_taken or (self.found is not None and self.found.is_bounded)

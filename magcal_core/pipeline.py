@@ -508,7 +508,8 @@ def _warnings(referenced: Referenced, estimate: _Estimate, judgement: Judgement)
         is_vector=estimate.estimator.is_vector,
     )
     clock = estimate.clock.found
-    if clock is not None and not estimate.clock.is_taken and abs(clock.offset_s) > 0.0:
+    is_told = estimate.clock.is_searched or referenced.age_days > AUTO_AGE_DAYS
+    if clock is not None and not estimate.clock.is_taken and is_told:
         found.append(
             f"time_offset_not_used: {clock.offset_s:.2f} +- {clock.offset_error_s:.2f} s is not significant; data like "
             f"these show {clock.test.detectable_s:.2g} s and more"

@@ -165,6 +165,12 @@ def judgement_of(  # noqa: PLR0917
     )
 
 
+def _is_plain(fit: Fit, settings: FitSettings, basis: Basis) -> bool:
+    """Return whether the fit is at the minimum of the plain sum of squares, and nowhere else."""
+    is_moved = basis.plain is not None and basis.plain is not fit
+    return settings.robust == "none" and settings.noise_model == "none" and not fit.clock.size and not is_moved
+
+
 def _field_error(fit: Fit, observations: Observations, honest: HonestCovariance, full: FullMatrix | None) -> FieldError:
     """Return the error of the corrected field in its worst direction, the bias taken where the regressors' mean is."""
     if full is not None:

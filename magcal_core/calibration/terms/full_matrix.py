@@ -77,7 +77,8 @@ class FullMatrix:
     @property
     def standard_errors(self) -> Floats:
         """Standard errors of the elements of T, shape (3, 3)."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)[:9]).reshape(3, 3), np.float64)
+        found: Floats = np.sqrt(np.diag(self.covariance)[:9]).reshape(3, 3)
+        return found
 
     @property
     def covariance_by_row(self) -> Floats:
