@@ -10,7 +10,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.calibration.error_budget import ReferenceSource, along_track_km
+from magcal_core.calibration.error_budget import (
+    DRIFT_KM_PER_DAY,
+    EPHEMERIS_KM,
+    EPOCH_ERROR_KM,
+    ReferenceSource,
+)
 from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations, corrected_nt
 from magcal_core.calibration.observability import ENOUGH
 from magcal_core.calibration.reference_errors import ReferenceErrors, reference_errors
@@ -112,7 +117,10 @@ class LockedSession:
         columns = self.columns(observations, fit)
         known = LockedColumns(np.zeros((len(observations), 0)), ()) if columns is None else columns
         errors = self.errors(fit.weights, 0.0)
-        along_s = along_track_km(self.samples, self.source(None))[0] / SPEED_KM_S
+        # Drag is left out: what it does over weeks is an offset that is to be found.
+        is_old = "oem" not in self.referenced.report.orbit_model
+        along_km = EPOCH_ERROR_KM + DRIFT_KM_PER_DAY * self.referenced.age_days if is_old else EPHEMERIS_KM
+        along_s = along_km / SPEED_KM_S
         return ClockSearch(estimator, settings, movable.at, known, errors, self.around.period_s, along_s)
 
     def coarse_clock(self, observations: Observations, *, is_needed: bool = False) -> CoarseClock | None:

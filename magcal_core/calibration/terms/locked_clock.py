@@ -159,15 +159,18 @@ class ClockSearch:
         return orbit_s is not None and any(abs(period_s * turns / orbit_s - 1.0) < _SAME_PERIOD for turns in (1.0, 2.0))
 
     def _run(self, unmoved: Observations, begin_s: float) -> LockedClock:
-        offset_s, settings, is_still = begin_s, self.settings, False
+        offset_s, settings, is_still, share, before_s = begin_s, self.settings, False, 1.0, 0.0
         for _ in range(_ROUNDS):
             here = unmoved if offset_s == 0.0 else self.at(np.full(len(unmoved), offset_s), slice(None))
             fit = self.estimator.fit(here, settings)
             step_s, error_s = self._step(self._with_rates(offset_s, here), fit)
-            if abs(step_s) < STILL_S:
+            # Weights of a loss and sizes of the terms change with the clock: steps may go to and fro between two.
+            share = 0.5 * share if step_s * before_s < 0.0 else share
+            before_s = step_s
+            if abs(share * step_s) < STILL_S:
                 is_still = True
                 break
-            offset_s += float(np.clip(step_s, -LONGEST_STEP_S, LONGEST_STEP_S))
+            offset_s += share * float(np.clip(step_s, -LONGEST_STEP_S, LONGEST_STEP_S))
             if abs(offset_s) > LARGEST_S:
                 break
             settings = replace(self.settings, near=fit if abs(step_s) < 0.5 * LONGEST_STEP_S else None)

@@ -17,14 +17,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.calibration.estimators.linear_rows import Rows
-from magcal_core.calibration.fit import scaled_inverse
+from magcal_core.calibration.estimators.linear_rows import Rows, rows_of
+from magcal_core.calibration.fit import Fit, Observations, scaled_inverse
 from magcal_core.calibration.terms.evidence import ABSENT, SIZES
 from magcal_core.calibration.terms.locked_columns import LockedColumns
 
@@ -234,3 +234,40 @@ class _Task:
                 share = max(1.0 - gain / squares, 1e-300)
                 found[i, j] = -0.5 * float(np.linalg.slogdet(matrix)[1]) - 0.5 * self.freedom * float(np.log(share))
         return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SmoothBias:
+    """Every smooth bias that one session may have had, and the evidence of columns beside it.
+
+    Attributes
+    ----------
+    locked : LockedColumns, optional
+        The columns of `locked_columns`, of all samples; None where nothing is known that a bias could be locked to.
+    seed : int
+        What surrogates are drawn with.
+    """
+
+    locked: LockedColumns | None
+    seed: int
+
+    def weigh(self, observations: Observations, fit: Fit, candidates: Mapping[str, Terms]) -> Mapping[str, float]:
+        """Return log BF of every candidate beside ``fit``, which has the terms that are taken already."""
+        rows, smooth, few = self._rows(observations, fit)
+        return evidence_of(rows, smooth, {name: [term[few] for term in terms] for name, terms in candidates.items()})
+
+    def against_surrogates(
+        self, observations: Observations, fit: Fit, terms: Terms, log_evidence: float
+    ) -> ColumnEvidence:
+        """Return the evidence of one candidate with the largest of its surrogates."""
+        rows, smooth, few = self._rows(observations, fit)
+        random = np.random.default_rng(self.seed)
+        largest = surrogates_of(rows, smooth, [term[few] for term in terms], observations.t_s[few], random)
+        return ColumnEvidence(log_evidence, largest)
+
+    def _rows(self, observations: Observations, fit: Fit) -> tuple[Rows, tuple[Floats, NDArray[np.intp]], slice]:
+        few = slice(None, None, max(1, -(-len(observations) // MOST_ROWS)))
+        part = replace(fit, residuals_nt=fit.residuals_nt[few], weights=fit.weights[few])
+        some = replace(observations.take(few), rate_nt_s=np.zeros((0, 0)), rate_base_nt_s=None)
+        locked = None if self.locked is None else replace(self.locked, columns=self.locked.columns[few])
+        return rows_of(some, part), smooth_columns(some.t_s, locked), few
