@@ -128,6 +128,7 @@ def command_line(record: ParameterSetRecord) -> str:
         "robust": options.get("robust"),
         "noise-model": options.get("noise_model"),
         "noise": options.get("noise_nt"),
+        "locked-terms": options.get("locked_terms"),
         "bootstrap": options.get("bootstrap") or None,
         "seed": options.get("seed") or None,
         "max-orbit-age-days": options.get("max_orbit_age_days"),

@@ -26,7 +26,15 @@ from app.cli.options import (
     usage_error,
 )
 from magcal_core.errors import InputError, OptionError
-from magcal_core.options import METHODS, NOISE_MODELS, ORBIT_MODELS, ROBUST_LOSSES, TIME_OFFSETS, CalibrationOptions
+from magcal_core.options import (
+    LOCKED_TERMS,
+    METHODS,
+    NOISE_MODELS,
+    ORBIT_MODELS,
+    ROBUST_LOSSES,
+    TIME_OFFSETS,
+    CalibrationOptions,
+)
 from magcal_core.units import NT_PER_UNIT
 
 if TYPE_CHECKING:
@@ -79,8 +87,10 @@ def _estimation_options(function: F) -> F:
         click.option("--time-drift", is_flag=True, default=None, help="Estimate a drift of the clock as well."),
         click.option("--regressors", help="Columns that move the bias: a,b,.. or auto; a*h: the scale."),
         click.option("--robust", type=click.Choice(ROBUST_LOSSES), help="Loss.  [default: none]"),
-        click.option("--noise-model", type=click.Choice(NOISE_MODELS), help="[default: none]"),
+        click.option("--noise-model", type=click.Choice(NOISE_MODELS), help="[default: auto]"),
         click.option("--noise", "noise_nt", type=float, help="Noise of a component, nT, where it is known."),
+        click.option("--locked-terms", type=click.Choice(LOCKED_TERMS),
+                     help="Errors of the bias that follow orbit, heat and sun.  [default: auto]"),
         click.option("--bootstrap", type=int, help="Replicates of the block bootstrap.  [default: 0]"),
         click.option("--seed", type=int, help="Seed of the bootstrap.  [default: 0]"),
     ])  # fmt: skip

@@ -23,8 +23,9 @@ class CalibrationOptionsBody(Body):
     time_drift: bool | None = None
     regressors: list[str] | Literal["auto"] | None = None
     robust: Literal["none", "huber", "soft_l1", "cauchy", "tukey"] | None = None
-    noise_model: Literal["none", "white"] | None = None
+    noise_model: Literal["auto", "none", "white"] | None = None
     noise_nt: float | None = Field(None, gt=0, description="Unset: the magnetometer's.")
+    locked_terms: Literal["auto", "none"] | None = None
     max_orbit_age_days: float | None = Field(None, ge=0, le=36525)
     bootstrap: int | None = Field(None, ge=0, le=10_000)
     seed: int | None = Field(None, ge=0)
