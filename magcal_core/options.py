@@ -12,7 +12,7 @@ from magcal_core.errors import Fault, OptionError
 METHODS: Final = ("scalar", "scalar-hooke-jeeves", "vector", "vector-closed-form")
 ORBIT_MODELS: Final = ("sgp4", "numerical")
 TIME_OFFSETS: Final = ("auto", "none", "estimate")
-ROBUST_LOSSES: Final = ("none", "huber", "soft_l1", "cauchy", "tukey")
+ROBUST_LOSSES: Final = ("auto", "none", "huber", "soft_l1", "cauchy", "tukey")
 NOISE_MODELS: Final = ("none", "white")
 
 
@@ -47,7 +47,9 @@ class CalibrationOptions:
     time_drift : estimate a drift of the clock beside its offset.
     regressors : housekeeping columns that move the bias (``time``: hours since the first sample), or ``auto``;
         ``temperature*h``: that column moves the scale.
-    robust, noise_model : loss and noise model.
+    robust : loss; ``auto``: none where the data are clean, else Tukey's from a start that half of the rows may be wrong
+        for.
+    noise_model : noise model.
     noise_nt : noise of one component, nT, where it is known.
     max_orbit_age_days : orbits further from the data are refused.
     bootstrap : replicates of the block bootstrap, 0 for none; ``seed`` makes them repeatable.
@@ -65,7 +67,7 @@ class CalibrationOptions:
     time_offset: str = "auto"
     time_drift: bool = False
     regressors: str | tuple[str, ...] = ()
-    robust: str = "none"
+    robust: str = "auto"
     noise_model: str = "none"
     noise_nt: float | None = None
     max_orbit_age_days: float = 14.0
@@ -99,6 +101,12 @@ class CalibrationOptions:
         if unknown:
             raise OptionError("; ".join(f"{fault.where}: {fault.why}" for fault in unknown), unknown)
         return cls(**values)  # type: ignore[arg-type]
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether they ask for the plain fit of published figures, to the rows as they came."""
+        is_bare = self.robust == self.noise_model == self.time_offset == "none"
+        return is_bare and self.regressors == ()
 
     def to_dict(self) -> dict[str, object]:
         """Return the options as the records of the service have them."""
