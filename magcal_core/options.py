@@ -12,7 +12,7 @@ from magcal_core.errors import Fault, OptionError
 METHODS: Final = ("scalar", "scalar-hooke-jeeves", "vector", "vector-closed-form")
 ORBIT_MODELS: Final = ("sgp4", "numerical")
 TIME_OFFSETS: Final = ("auto", "none", "estimate")
-ROBUST_LOSSES: Final = ("none", "huber", "soft_l1", "cauchy", "tukey")
+ROBUST_LOSSES: Final = ("auto", "none", "huber", "soft_l1", "cauchy", "tukey")
 NOISE_MODELS: Final = ("auto", "none", "white")
 LOCKED_TERMS: Final = ("auto", "none")
 
@@ -49,7 +49,8 @@ class CalibrationOptions:
     time_drift : estimate a drift of the clock beside its offset.
     regressors : housekeeping columns that move the bias (``time``: hours since the first sample), or ``auto``;
         ``temperature*h``: that column moves the scale.
-    robust : loss.
+    robust : loss; ``auto``: none where the data are clean, else Tukey's from a start that half of the rows may be wrong
+        for.
     noise_model : ``none``, ``white`` noise in the reading, or ``auto``: white where it moves a parameter by half its
         standard error.
     noise_nt : noise of one component, nT, where it is known.
@@ -70,7 +71,7 @@ class CalibrationOptions:
     time_offset: str = "auto"
     time_drift: bool = False
     regressors: str | tuple[str, ...] = ()
-    robust: str = "none"
+    robust: str = "auto"
     noise_model: str = "auto"
     noise_nt: float | None = None
     locked_terms: str = "auto"
@@ -105,6 +106,12 @@ class CalibrationOptions:
         if unknown:
             raise OptionError("; ".join(f"{fault.where}: {fault.why}" for fault in unknown), unknown)
         return cls(**values)  # type: ignore[arg-type]
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether they ask for the plain fit of published figures, to the rows as they came."""
+        is_bare = self.robust == self.noise_model == self.time_offset == "none"
+        return is_bare and self.regressors == ()
 
     def to_dict(self) -> dict[str, object]:
         """Return the options as the records of the service have them."""

@@ -19,35 +19,41 @@ from magcal_core.orbit import Orbit
 from magcal_core.reference import TELEMETRY_POSITION, ReferenceReport, finite_rows, with_reference
 from magcal_core.regressor_columns import source_of
 from magcal_core.samples import SampleFlag, Samples, Times
+from magcal_core.telemetry.screen import screened, unscreened
 
 Floats = NDArray[np.float64]
 
-MAX_BAD_FRACTION: Final = 0.05
-"""Share of readings that are not finite, and that no reader has flagged, from which on the data are refused."""
+MAX_BAD_FRACTION: Final = 0.5
+"""Share of readings that are not finite or hold a fill value from which on the data are refused."""
 
 _USES: Final = 4
 """How often a search for the clock asks for the reference at least: twice about each of two places."""
 
 
-def in_time_order(samples: Samples) -> Samples:
-    """Return the samples in time order, equal times by their readings, with readings that are not finite flagged.
+def in_time_order(samples: Samples, *, is_plain: bool = False) -> Samples:
+    """Return the samples in time order, equal times by their readings, with rows flagged that cannot be readings.
+
+    ``is_plain``: only rows without a reading are, as the plain fit of published figures has it.
 
     Raises
     ------
     TooManyBadSamplesError
-        More than `MAX_BAD_FRACTION` of the readings are not finite and no reader has flagged them.
+        More than `MAX_BAD_FRACTION` of the readings are not finite or hold a fill value.
     """
     h, t_utc = samples.h_nt, samples.t_utc
     ordered = samples
     if not np.all(t_utc[1:] > t_utc[:-1]):
         ordered = samples.take(np.lexsort((h[:, 2], h[:, 1], h[:, 0], t_utc)))
     is_bad = ~finite_rows(ordered.h_nt) | np.isnat(ordered.t_utc)
-    is_new = is_bad & ordered.is_used
-    if np.count_nonzero(is_new) > MAX_BAD_FRACTION * len(samples):
+    marked = ordered.flagged(SampleFlag.NOT_FINITE, is_bad) if is_bad.any() else ordered
+    found = unscreened(marked) if is_plain else screened(marked)
+    is_empty = (found.flags & np.uint16(SampleFlag.NOT_FINITE | SampleFlag.FILL_VALUE)) != 0
+    bad = int(np.count_nonzero(is_empty))
+    if bad and bad >= MAX_BAD_FRACTION * len(samples):
         raise TooManyBadSamplesError(
-            f"{np.count_nonzero(is_new)} of {len(samples)} readings are not finite, limit {MAX_BAD_FRACTION:.0%}"
+            f"{bad} of {len(samples)} readings are empty, not finite or fill values, limit {MAX_BAD_FRACTION:.0%}"
         )
-    return ordered.flagged(SampleFlag.NOT_FINITE, is_bad)
+    return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +84,7 @@ class Referenced:
         InputError
             What `in_time_order` and `with_reference` raise.
         """
-        ordered = in_time_order(samples)
+        ordered = in_time_order(samples, is_plain=options.is_plain)
         field = field_model(options.field, options.field_max_degree)
         # An instant that is not one has no place: it is kept out before the orbit is asked for it.
         known = ordered.take(~np.isnat(ordered.t_utc))

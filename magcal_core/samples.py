@@ -27,7 +27,7 @@ class SampleFlag(enum.IntFlag):
     CONFLICTING_TIME = 4
     """same time as another sample, other values"""
     SATURATED = 8
-    """at or beyond the magnetometer's range"""
+    """at or beyond the magnetometer's range, or at an extreme where readings pile up"""
     SPIKE = 16
     """far from the fit and from its neighbours"""
     JUMP = 32
@@ -38,6 +38,14 @@ class SampleFlag(enum.IntFlag):
     """the quaternion is missing or not a unit quaternion"""
     NO_HOUSEKEEPING = 256
     """a housekeeping column has no value here"""
+    ZERO = 512
+    """all three axes are exactly 0"""
+    FILL_VALUE = 1024
+    """an axis holds a number that loggers write for a missing reading, foreign among its neighbours"""
+    STUCK = 2048
+    """in a run of equal readings that chance does not make"""
+    REPEATED = 4096
+    """a reading that occurs far more often than others do"""
     FAR = 8192
     """beyond the reach of the field model, or where the field is less than a twentieth of the session's largest"""
 
@@ -48,6 +56,10 @@ EXCLUDED: Final = (
     | SampleFlag.CONFLICTING_TIME
     | SampleFlag.SATURATED
     | SampleFlag.NO_REFERENCE
+    | SampleFlag.ZERO
+    | SampleFlag.FILL_VALUE
+    | SampleFlag.STUCK
+    | SampleFlag.REPEATED
     | SampleFlag.FAR
 )
 """Flags that keep a sample out of every fit."""

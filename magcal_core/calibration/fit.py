@@ -6,7 +6,7 @@ import enum
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ from magcal_core.regressor_columns import TIME_REGRESSOR, is_of_scale, regressor
 from magcal_core.samples import Samples, selects_all
 from magcal_core.sensor import inverse_lower, matrix_of_parameters
 from magcal_core.units import NT_PER_UNIT
+
+if TYPE_CHECKING:
+    from magcal_core.calibration.estimators.robust_start import RobustStart
 
 Floats = NDArray[np.float64]
 
@@ -195,7 +198,8 @@ class FitSettings:
     """How to fit: robust loss, noise model, noise of a component (nT, where known), start (for studies).
 
     ``near``: a fit under the same settings to nearly the same data, where the search begins and whose scale it takes.
-    ``is_gated``: whether samples that do not determine the parameters are refused; else that is for the caller to ask.
+    ``begin``: where a loss begins that the plain fit is no start for. ``is_gated``: whether samples that do not
+    determine the parameters are refused; else that is for the caller to ask, once bad rows have lost their weight.
     """
 
     robust: str = "none"
@@ -203,6 +207,7 @@ class FitSettings:
     noise_nt: float | None = None
     start: Parameters | None = None
     near: Fit | None = None
+    begin: RobustStart | None = None
     is_gated: bool = True
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from magcal_core.calibration.agreement import Agreement, agreement_with
 from magcal_core.calibration.corrections import correct, lengths, statistics
+from magcal_core.calibration.estimators.loss import counted_weights
 from magcal_core.calibration.field_error import FieldError, field_error, field_error_of_matrix
 from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations, readings_without
 from magcal_core.calibration.jacobians import matrix_jacobian
@@ -44,13 +45,15 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Circumstances:
-    """What the verdict must know that is not in the fit: the orbit's age, clock, samples left out, suspicions, what
-    errors of the reference do to the parameters, and the calibration in force before.
+    """What the verdict must know that is not in the fit: the orbit's age, clock, samples left out, the share of rows
+    that hold no reading, suspicions, what errors of the reference do to the parameters, and the calibration in force
+    before.
     """
 
     orbit_age_days: float
     has_time_offset: bool
     left_out: int
+    without_reading_share: float = 0.0
     suspicions: tuple[str, ...] = ()
     reference: tuple[ReferenceShift, ...] = ()
     active: ActiveSet | None = None
@@ -114,19 +117,21 @@ def judgement_of(  # noqa: PLR0917
     errors = np.sqrt(np.diag(honest.covariance))
     errors = np.concatenate([errors, np.zeros(max(0, names - errors.size))])[:names]
     standard_errors = fit.parameters.with_vector(errors)
-    before, after = statistics_of(observations, fit, estimator.is_vector)
+    counted = replace(fit, weights=counted_weights(fit, settings.robust))
+    before, after = statistics_of(observations, counted, estimator.is_vector)
     if full is None:
-        unseen = _unseen_rms_nt(estimator, observations, settings, fit if known.plain is None else known.plain)
+        near = fit if known.plain is None else known.plain
+        unseen = _unseen_rms_nt(estimator, observations, settings, near, counted.weights)
     else:
-        unseen = unseen_rms_nt(observations, fit, full)
-    observability, motion, information = observability_of(observations, fit, estimator.is_vector)
+        unseen = unseen_rms_nt(observations, counted, full)
+    observability, motion, information = observability_of(observations, counted, estimator.is_vector)
     mean_field_nt, active = float(observations.b_nt.mean()), circumstances.active
     agreement = None
     if active is not None:
         agreement = agreement_with(
             active, fit.parameters, honest.covariance, mean_field_nt, is_vector=estimator.is_vector
         )
-    lost = circumstances.left_out + int(np.count_nonzero(~(fit.weights > 0)))
+    lost = int(np.count_nonzero(~(counted.weights > 0)))
     field = _field_error(fit, observations, honest, full)
     evidence = Evidence(
         index=observability.index,
@@ -138,7 +143,8 @@ def judgement_of(  # noqa: PLR0917
         before=before,
         after=after,
         cross_validated_rms_nt=unseen,
-        rejected_share=lost / max(len(observations) + circumstances.left_out, 1),
+        rejected_share=lost / max(len(observations), 1),
+        without_reading_share=circumstances.without_reading_share,
         is_converged=fit.status == "converged",
         is_vector=estimator.is_vector,
         is_plain=_is_plain(fit, settings, known),
@@ -222,12 +228,17 @@ def matrix_standard_errors(parameters: Parameters, judgement: Judgement, full: F
     return found
 
 
-def _unseen_rms_nt(estimator: Estimator, observations: Observations, settings: FitSettings, fit: Fit) -> float | None:
-    """Return the RMS residual, nT, of blocks that a fit has not seen; None where the rest does not determine it."""
+def _unseen_rms_nt(
+    estimator: Estimator, observations: Observations, settings: FitSettings, fit: Fit, counted: Floats
+) -> float | None:
+    """Return the RMS residual, nT, of blocks that a fit has not seen; None where the rest does not determine it.
+
+    ``counted``: weights of the samples, zero where they do not count.
+    """
     # The clock stays where all data put it: one number, and the held-out reference is taken at it.
     still = replace(observations, rate_nt_s=np.zeros((0, 0)), rate_base_nt_s=None)
     held_out = held_out_residuals_nt(estimator, still, settings, fit)
-    return None if held_out is None else rms_nt(held_out, fit.weights)
+    return None if held_out is None else rms_nt(held_out, counted)
 
 
 def _with_reference(covariance: Floats, shifts: Sequence[ReferenceShift]) -> Floats:

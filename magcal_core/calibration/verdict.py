@@ -39,8 +39,10 @@ UNSEEN: Final = Limits(1.6, 4.0)
 """Cross-validated RMS over the RMS of the fit."""
 SCALE_FAR: Final = 2.5
 """Factor between the mean scale factor and 1 from which the readings are hardly in the unit that was said."""
-REJECTED: Final = Limits(0.08, 0.25)
-"""Share of the samples that were left out or lost their weight."""
+REJECTED: Final = Limits(0.08, 0.50)
+"""Share of the rows with a reading that the loss put aside."""
+WITHOUT_READING: Final = Limits(0.50, np.inf)
+"""Share of the rows that hold no reading: empty, zeros, fill values, stuck, repeated, saturated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +67,7 @@ class Evidence:
     after: ResidualStatistics
     cross_validated_rms_nt: float | None
     rejected_share: float
+    without_reading_share: float
     is_converged: bool
     is_vector: bool
     is_plain: bool
@@ -148,8 +151,10 @@ def _circumstances(evidence: Evidence) -> _Found:
         evidence.rejected_share,
         REJECTED,
         "many_rejected",
-        f"{evidence.rejected_share:.1%} of the samples were left out",
+        f"{evidence.rejected_share:.1%} of the readings were put aside by the loss",
     )
+    text = f"{evidence.without_reading_share:.1%} of the rows hold no reading"
+    found += _graded(evidence.without_reading_share, WITHOUT_READING, "rows_without_reading", text)
     if evidence.turn is not None:
         found += _turned(evidence.turn)
     if not evidence.is_converged:

@@ -29,6 +29,10 @@ BRO4_COLUMNS = {"time": "ts", "bx": "extmag_0", "by": "extmag_1", "bz": "extmag_
 BRO4_REFERENCE = {f"ref_eci_{axis}": f"ephem_mageci_{i}" for i, axis in enumerate("xyz")}
 
 
+PLAIN = {"robust": "none", "noise_model": "none", "time_offset": "none"}
+"""The plain fit, to the rows as they came: that of published figures."""
+
+
 @pytest.fixture(scope="module")
 def nominal(data_dir):
     return read_samples(data_dir / "calibration" / "nominal.csv")
@@ -52,7 +56,7 @@ def test_worked_case_comes_out_of_the_record(data_dir, name, method):
     """The same minimiser, deterministic: 1e-6 of max(1, |answer|); the search 1e-4."""
     folder = data_dir / "calibration"
     expected = json.loads((folder / f"{name}.answer.json").read_text())["expected"]
-    record = calibrate(read_samples(folder / f"{name}.csv"), method=method).to_dict()
+    record = calibrate(read_samples(folder / f"{name}.csv"), method=method, **PLAIN).to_dict()
     key = {"scalar": "scalar_lm", "scalar-hooke-jeeves": "scalar_lm", "vector": "forward_ml"}.get(method, "ols_inverse")
     rel = 1e-4 if method == "scalar-hooke-jeeves" else 1e-6
     for mine, theirs in (("scale", "k"), ("nonorthogonality_deg", "eps_deg"), ("bias_nt", "b_nT")):
@@ -103,7 +107,7 @@ def test_readings_that_are_not_finite_are_flagged_and_left_out(nominal):
     assert calibration.samples == 573
     assert np.flatnonzero(calibration.residuals.flags & SampleFlag.NOT_FINITE).tolist() == [3, 70]
     assert np.flatnonzero(calibration.residuals.weight == 0).tolist() == [3, 70]
-    h[:40] = np.inf
+    h[:300] = np.inf
     with pytest.raises(TooManyBadSamplesError):
         calibrate(replace(nominal, h_nt=h))
 
@@ -167,7 +171,7 @@ def test_options_round_trip():
 @pytest.fixture(scope="module")
 def on_board(bro4_dir):
     samples = read_samples(bro4_dir / "external.csv", columns=BRO4_COLUMNS | BRO4_REFERENCE, unit="mG")
-    return calibrate(samples)
+    return calibrate(samples, **PLAIN)
 
 
 @pytest.fixture(scope="module")
@@ -201,7 +205,7 @@ class TestBro4:
         assert on_board.standard_errors.bias_nt.max() > 40
 
     def test_stale_tle_without_offset(self, bare, tle):
-        got = calibrate(bare, tle, max_orbit_age_days=60.0, time_offset="none")
+        got = calibrate(bare, tle, max_orbit_age_days=60.0, **PLAIN)
         assert got.after.rms_nt == pytest.approx(423, abs=5)
         assert [w for w in got.warnings if w.startswith("tle_old")]
         assert got.verdict.grade == "refuse"

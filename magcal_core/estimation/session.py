@@ -19,17 +19,15 @@ from magcal_core.calibration.error_budget import (
 from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations, corrected_nt
 from magcal_core.calibration.observability import ENOUGH
 from magcal_core.calibration.reference_errors import ReferenceErrors, reference_errors
-from magcal_core.calibration.suspicions import Suspicion
 from magcal_core.calibration.terms.coarse_clock import POOR, CoarseClock, coarse_clock, quadric_share
 from magcal_core.calibration.terms.locked import Kind, LockedTerms, locked_terms
-from magcal_core.calibration.terms.locked_clock import RATE_STEP_S, ClockSearch, LockedClock, with_fall
+from magcal_core.calibration.terms.locked_clock import RATE_STEP_S, ClockSearch, with_fall
 from magcal_core.calibration.terms.locked_columns import (
     LockedColumns,
     Surroundings,
     locked_columns,
     surroundings_of,
 )
-from magcal_core.calibration.time_offset import ClockFit
 from magcal_core.calibration.uncertainty import covered_s
 from magcal_core.errors import ModelRangeError, OrbitMissingError
 from magcal_core.moving_reference import MovingReference
@@ -40,11 +38,6 @@ Floats = NDArray[np.float64]
 
 SPEED_KM_S: Final = 7.6
 """Speed of a low orbit: what turns an error along the track into one of time."""
-AUTO_LARGEST_S: Final = 120.0
-"""Largest offset that is taken unasked, s: a larger one is suspected."""
-NEAR_S: Final = 20.0
-"""How near a clock that was taken and a coarse one are the same."""
-NOT_KNOWN: Final = "neither an orbit nor positions: nothing is known that a bias could be locked to"
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,100 +140,3 @@ class LockedSession:
         names = tuple(observations.regressors)
         ends = [self.at_offset(names, offset_s + step_s) for step_s in (RATE_STEP_S, -RATE_STEP_S)]
         return observations if None in ends else with_fall(observations, *[end for end in ends if end is not None])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ClockOutcome:
-    """What was found of the clock, whether it is part of the result, and a coarse offset where one was looked for."""
-
-    found: LockedClock | ClockFit | None = None
-    is_taken: bool = False
-    coarse: CoarseClock | None = None
-
-    @property
-    def taken(self) -> LockedClock | ClockFit | None:
-        """The clock that is part of the result."""
-        return self.found if self.is_taken else None
-
-    @property
-    def is_searched(self) -> bool:
-        """Whether there was a search, and not one step that said there is no need of one."""
-        return self.found is not None and (isinstance(self.found, ClockFit) or self.found.is_searched)
-
-    @property
-    def is_known(self) -> bool:
-        """Whether the clock is known, or so well looked for that it does not matter."""
-        return self.is_taken or (self.found is not None and self.found.is_bounded)
-
-    @property
-    def suspected(self) -> Suspicion | None:
-        """A clock that is minutes or hours off and was not taken."""
-        coarse, taken = self.coarse, self.taken
-        if coarse is None or not coarse.is_found:
-            return None
-        if taken is not None and abs(taken.offset_s - coarse.offset_s) < NEAR_S:
-            return None
-        text = (
-            f"the clock seems to be {-coarse.offset_s:.0f} s ahead: what the readings leave of |B| would fall to "
-            f"{coarse.ratio_to_plain:.2g} of what it is, {coarse.next_ratio:.2g} times less than for any other offset "
-            "within 12 h; time_offset: estimate takes it"
-        )
-        return Suspicion("clock_suspect", text, 1.0 / coarse.ratio_to_plain, f"{coarse.offset_s:.0f} s")
-
-    def to_dict(self) -> dict[str, object] | None:
-        """Return the clock as the records have it; None where it was not looked for."""
-        if self.found is None:
-            return None
-        coarse = None if self.coarse is None else self.coarse.to_dict()
-        return {**self.found.to_dict(), "is_taken": self.is_taken, "coarse": coarse}
-
-
-def clock_of(
-    session: LockedSession,
-    estimator: Estimator,
-    settings: FitSettings,
-    observations: Observations,
-    plain: Fit | None,
-    *,
-    is_asked: bool,
-) -> ClockOutcome:
-    """Return the clock that is asked for or that the data show.
-
-    ``plain``: the fit of ``estimator`` at the telemetry's own clock; None where there is none.
-    """
-    coarse = session.coarse_clock(observations, is_needed=plain is None)
-    begin_s = coarse.offset_s if is_asked and coarse is not None and coarse.is_found else 0.0
-    few, rows = session.thinned()
-    unmoved = observations.take(rows)
-    here = unmoved if not begin_s else few.at_offset(tuple(observations.regressors), begin_s)
-    if here is None or (plain is None and not begin_s):
-        return ClockOutcome(coarse=coarse)
-    fit = plain if plain is not None and rows == slice(None) and not begin_s else estimator.fit(here, settings)
-    search = few.clock_search(estimator, settings, here, fit)
-    with suppress(OrbitMissingError, ModelRangeError):
-        if not is_asked:
-            found = search.glimpse(unmoved, fit)
-            if not found.is_searched:
-                return ClockOutcome(found, False, coarse)
-        found = search.find(unmoved, begin_s)
-        is_near = abs(found.offset_s) <= AUTO_LARGEST_S
-        is_taken = is_asked or (found.is_significant and is_near)
-        if not is_taken:
-            return ClockOutcome(found, False, coarse)
-        whole = _on_all(session, estimator, settings, observations, found)
-        return ClockOutcome(whole, True, coarse) if whole is not None else ClockOutcome(found, False, coarse)
-    return ClockOutcome(coarse=coarse)
-
-
-def _on_all(
-    session: LockedSession, estimator: Estimator, settings: FitSettings, observations: Observations, found: LockedClock
-) -> LockedClock | None:
-    """Return what was found on some samples with the fit to all of them at that clock."""
-    here, fit = found.observations, found.fit
-    if len(here) != len(observations):
-        moved = session.at_offset(tuple(observations.regressors), found.offset_s)
-        if moved is None:
-            return None
-        here, fit = moved, estimator.fit(moved, settings)
-    parameters = replace(fit.parameters, time_offset_s=found.offset_s)
-    return replace(found, observations=here, fit=replace(fit, parameters=parameters))

@@ -1,0 +1,38 @@
+"""Steps 8, 9 and 13: errors locked to the orbit, the covariance beside them, and the full matrix where it is asked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from magcal_core.calibration.reference_errors import reference_shifts
+from magcal_core.calibration.terms.full_matrix import FullMatrix, full_matrix, is_worth_a_test, p_of_lower
+from magcal_core.calibration.terms.locked import moved_fit
+from magcal_core.calibration.terms.locked_clock import LockedClock
+from magcal_core.calibration.time_offset import ClockFit
+from magcal_core.calibration.uncertainty import covered_s
+from magcal_core.estimation.estimate import Estimate, Trust
+from magcal_core.estimation.session import LockedSession
+
+
+def with_locked_terms(estimate: Estimate) -> Estimate:
+    """Return the estimate where locked errors leave it, with what is known beside it."""
+    prepared, fit, o = estimate.prepared, estimate.fit, estimate.observations
+    session = LockedSession(prepared.referenced, prepared.usable, prepared.estimator.is_vector)
+    clock = estimate.clock
+    has_clock = isinstance(clock, LockedClock)
+    rated = session.with_rates(o, clock.offset_s) if clock is not None and has_clock else o
+    errors = session.errors(fit.weights, None if clock is None else clock.offset_error_s)
+    shifts = reference_shifts(errors, rated, fit)
+    is_ours = prepared.options.locked_terms == "auto" and prepared.estimator.takes_regressors
+    terms = session.terms(rated, fit, has_clock=has_clock) if is_ours else None
+    if terms is None:
+        honest = clock.honest if isinstance(clock, ClockFit) else None
+        return replace(estimate, trust=Trust(fit, None, honest, shifts))
+    duration_s = covered_s(o.t_s)
+    full: FullMatrix | None = None
+    if prepared.estimator.is_vector and is_worth_a_test(p_of_lower(fit)):
+        full = full_matrix(rated, fit, terms.columns, errors, duration_s)
+        full = full if full.is_taken else None
+    moved = full.fit(o, fit) if full is not None else moved_fit(o, fit, terms)
+    trust = Trust(fit, terms, terms.honest(fit, len(o), duration_s), shifts, full)
+    return replace(estimate, fit=moved, trust=trust)
