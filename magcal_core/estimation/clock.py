@@ -141,8 +141,8 @@ def far_suspicion(estimate: Estimate) -> Suspicion | None:
         return None
     text = (
         f"{far.offset_s:.0f} s are to be added to the clock: what the readings leave of |B| would fall to "
-        f"{far.ratio_to_plain:.2g} of what it is, {far.next_ratio:.2g} times less than at any other offset within 12 h; "
-        "time_offset estimate takes it"
+        f"{far.ratio_to_plain:.2g} of what it is, {far.next_ratio:.2g} times less than at any other offset within "
+        "12 h; time_offset estimate takes it"
     )
     return Suspicion("clock_suspect", text, 1.0 / max(far.ratio_to_plain, 1e-6), f"{far.offset_s:.0f} s")
 

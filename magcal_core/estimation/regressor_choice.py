@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magcal_core.calibration.fit import Observations
 from magcal_core.calibration.regressors import ablation_of, choose_regressors, usable_columns
+from magcal_core.calibration.terms.regressor_evidence import SmoothBias
 from magcal_core.estimation.clock import with_clock
 from magcal_core.estimation.estimate import Estimate, Prepared, still
+from magcal_core.estimation.session import LockedSession
 from magcal_core.estimation.start_and_loss import started
 
 
@@ -27,8 +30,14 @@ def with_regressors(estimate: Estimate) -> Estimate:
         return replace(estimate, ablation=ablation_of(prepared.estimator, at, estimate.settings, [(), prepared.names]))
     if prepared.options.regressors != "auto" or not prepared.estimator.takes_regressors:
         return estimate
-    offered = _with_all_columns(prepared, still(estimate.observations))
-    choice = choose_regressors(prepared.estimator, offered, estimate.settings)
+    offered, rows = _with_all_columns(prepared, still(estimate.observations))
+    session = LockedSession(prepared.referenced, prepared.usable, prepared.estimator.is_vector)
+    locked = session.columns(estimate.observations, estimate.fit)
+    smooth = SmoothBias(
+        None if locked is None else replace(locked, columns=locked.columns[rows]), prepared.options.seed
+    )
+    settings = replace(estimate.settings, is_gated=False)
+    choice = choose_regressors(prepared.estimator, offered, settings, smooth)
     if not choice.names:
         return replace(estimate, ablation=choice.ablation)
     anew = started(prepared.with_names(choice.names))
@@ -39,10 +48,12 @@ def with_regressors(estimate: Estimate) -> Estimate:
     return replace(anew, ablation=choice.ablation)
 
 
-def _with_all_columns(prepared: Prepared, observations: Observations) -> Observations:
-    """Return the observations with every housekeeping column that may be a regressor."""
+def _with_all_columns(prepared: Prepared, observations: Observations) -> tuple[Observations, NDArray[np.bool_]]:
+    """Return the observations with every housekeeping column that may be a regressor, and which rows have them all."""
     keeping = prepared.referenced.samples.housekeeping
     names = usable_columns(keeping, prepared.usable)
     columns = {name: np.asarray(keeping[name], np.float64)[prepared.usable] for name in names}
-    is_complete = np.all([np.isfinite(column) for column in columns.values()], axis=0) if columns else slice(None)
-    return replace(observations, regressors=columns).take(is_complete)
+    rows = np.ones(len(observations), np.bool_)
+    for column in columns.values():
+        rows &= np.isfinite(column)
+    return replace(observations, regressors=columns).take(rows), rows
