@@ -71,6 +71,16 @@ class ReferenceErrors:
     in_base_nt: Floats | None
     named: tuple[tuple[str, str], ...]
 
+    def without(self, source: str) -> ReferenceErrors | None:
+        """Return the errors but that of ``source``; None where none is left."""
+        kept = [i for i, (name, _) in enumerate(self.named) if name != source]
+        if not kept:
+            return None
+        in_base = None if self.in_base_nt is None else self.in_base_nt[kept]
+        return replace(
+            self, errors_nt=self.errors_nt[kept], in_base_nt=in_base, named=tuple(self.named[i] for i in kept)
+        )
+
     def moves(self, observations: Observations, fit: Fit, *, is_full: bool = False) -> tuple[Rows, Floats]:
         """Return the rows of these samples and how far each error moves their unknowns, shape (m, q).
 

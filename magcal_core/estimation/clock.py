@@ -51,7 +51,7 @@ def with_clock(estimate: Estimate) -> Estimate:
 def _beside_locked_errors(estimate: Estimate) -> Estimate:
     """Return the estimate with the clock that is asked for or that the data show beside locked errors."""
     prepared = estimate.prepared
-    session = LockedSession(prepared.referenced, prepared.usable, prepared.estimator.is_vector)
+    session = prepared.session
     is_asked = prepared.options.time_offset == "estimate"
     far = session.coarse_clock(prepared.observations)
     trimmed, loss, begin_s = None, estimate.loss, 0.0
@@ -94,7 +94,7 @@ def _tried(session: LockedSession, prepared: Prepared, loss: LossFit, begin_s: f
     fit = loss.fit if is_same else guide.fit(here, settings)
     search = few.clock_search(guide, settings, here, fit)
     if not is_asked and not begin_s:
-        found = search.glimpse(unmoved, fit)
+        found = search.glimpse(few.with_rates(unmoved, 0.0), fit)
         if not found.is_searched:
             return found
     return search.find(unmoved, begin_s)
@@ -153,7 +153,7 @@ def _with_plain_clock(estimate: Estimate) -> Estimate:
     if prepared.options.time_offset != "estimate" and prepared.referenced.age_days <= AUTO_AGE_DAYS:
         return estimate
     movable = _movable(prepared)
-    session = LockedSession(prepared.referenced, prepared.usable, prepared.estimator.is_vector)
+    session = prepared.session
     coarse = None if estimate.loss.is_clean else coarse_clock(movable, prepared.observations)
     loss = estimate.loss if coarse is None else _loss_at(session, prepared, coarse.offset_s)
     tried = _searched(movable, prepared, loss.settings, 0.0 if coarse is None else coarse.offset_s)

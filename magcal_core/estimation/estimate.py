@@ -21,6 +21,7 @@ from magcal_core.calibration.terms.trimmed_clock import TrimmedClock
 from magcal_core.calibration.time_offset import ClockFit
 from magcal_core.calibration.uncertainty import HonestCovariance
 from magcal_core.errors import OptionError
+from magcal_core.estimation.session import LockedSession
 from magcal_core.options import CalibrationOptions
 from magcal_core.referenced import Referenced
 
@@ -29,7 +30,8 @@ from magcal_core.referenced import Referenced
 class Prepared:
     """Samples with their reference as the method sees them, and how to fit them.
 
-    ``usable``: which samples the method can use, shape (n,); ``names``: regressors that were asked for by name.
+    ``usable``: which samples the method can use, shape (n,); ``names``: regressors that were asked for by name;
+    ``session``: what the errors of their bias may be locked to.
     """
 
     referenced: Referenced
@@ -39,6 +41,7 @@ class Prepared:
     names: tuple[str, ...]
     usable: NDArray[np.bool_]
     observations: Observations
+    session: LockedSession
 
     @classmethod
     def of(cls, referenced: Referenced, options: CalibrationOptions) -> Prepared:
@@ -56,13 +59,16 @@ class Prepared:
         noise_model = "none" if options.noise_model == "auto" else options.noise_model
         settings = FitSettings(options.robust, noise_model, options.noise_nt)
         usable = referenced.usable(names, estimator.is_vector)
-        return cls(referenced, options, estimator, settings, names, usable, referenced.observations(usable, names))
+        session = LockedSession(referenced, usable, estimator.is_vector)
+        observed = referenced.observations(usable, names)
+        return cls(referenced, options, estimator, settings, names, usable, observed, session)
 
     def with_names(self, names: tuple[str, ...]) -> Prepared:
         """Return the same with other regressors, and with the samples that have them."""
         usable = self.referenced.usable(names, self.estimator.is_vector)
         observations = self.referenced.observations(usable, names)
-        return replace(self, names=names, usable=usable, observations=observations)
+        session = LockedSession(self.referenced, usable, self.estimator.is_vector)
+        return replace(self, names=names, usable=usable, observations=observations, session=session)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

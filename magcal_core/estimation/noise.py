@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from magcal_core.calibration.reference_errors import reference_shifts
-from magcal_core.calibration.terms.white_noise import with_white_noise
+from magcal_core.calibration.terms.white_noise import may_matter, with_white_noise
 from magcal_core.estimation.clock import with_offset
 from magcal_core.estimation.estimate import Estimate, still
-from magcal_core.estimation.session import LockedSession
 
 
 def with_noise(estimate: Estimate) -> Estimate:
@@ -17,9 +16,11 @@ def with_noise(estimate: Estimate) -> Estimate:
     is_open = prepared.options.noise_model == "auto" and prepared.settings.noise_model == "none"
     if not is_open or prepared.estimator.is_vector or not prepared.estimator.takes_regressors:
         return estimate
-    session = LockedSession(prepared.referenced, prepared.usable, prepared.estimator.is_vector)
+    if not may_matter(estimate.observations, fit):
+        return estimate
+    session = prepared.session
     o, settings = still(estimate.observations), replace(estimate.settings, is_gated=False)
-    shifts = reference_shifts(session.errors(fit.weights, None), o, fit)
+    shifts = reference_shifts(session.errors(None), o, fit)
     white = with_white_noise(prepared.estimator, o, settings, fit, [one.shift for one in shifts])
     if white is None:
         return estimate

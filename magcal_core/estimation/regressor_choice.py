@@ -12,7 +12,6 @@ from magcal_core.calibration.regressors import ablation_of, choose_regressors, u
 from magcal_core.calibration.terms.regressor_evidence import SmoothBias
 from magcal_core.estimation.clock import with_clock
 from magcal_core.estimation.estimate import Estimate, Prepared, still
-from magcal_core.estimation.session import LockedSession
 from magcal_core.estimation.start_and_loss import started
 
 
@@ -31,7 +30,7 @@ def with_regressors(estimate: Estimate) -> Estimate:
     if prepared.options.regressors != "auto" or not prepared.estimator.takes_regressors:
         return estimate
     offered, rows = _with_all_columns(prepared, still(estimate.observations))
-    session = LockedSession(prepared.referenced, prepared.usable, prepared.estimator.is_vector)
+    session = prepared.session
     locked = session.columns(estimate.observations, estimate.fit)
     smooth = SmoothBias(
         None if locked is None else replace(locked, columns=locked.columns[rows]), prepared.options.seed

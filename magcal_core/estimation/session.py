@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
 
@@ -16,6 +16,7 @@ from magcal_core.calibration.error_budget import (
     EPOCH_ERROR_KM,
     ReferenceSource,
 )
+from magcal_core.calibration.estimators.linear_rows import Moments
 from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations, corrected_nt
 from magcal_core.calibration.observability import ENOUGH
 from magcal_core.calibration.reference_errors import ReferenceErrors, reference_errors
@@ -31,7 +32,7 @@ from magcal_core.calibration.terms.locked_columns import (
 from magcal_core.calibration.uncertainty import covered_s
 from magcal_core.errors import ModelRangeError, OrbitMissingError
 from magcal_core.moving_reference import MovingReference
-from magcal_core.referenced import Referenced
+from magcal_core.referenced import MovableObservations, Referenced
 from magcal_core.samples import Samples
 
 Floats = NDArray[np.float64]
@@ -55,6 +56,7 @@ class LockedSession:
     referenced: Referenced
     usable: NDArray[np.bool_]
     is_vector: bool
+    _columns: dict[int, tuple[Fit, LockedColumns | None]] = field(default_factory=dict, init=False)
 
     @cached_property
     def samples(self) -> Samples:
@@ -71,26 +73,41 @@ class LockedSession:
         one = self.referenced
         return ReferenceSource(one.report.orbit_model, one.age_days, one.field, self.is_vector, clock_error_s)
 
-    def errors(self, weights: Floats, clock_error_s: float | None) -> ReferenceErrors | None:
-        """Return the errors of the reference that are considered."""
-        return reference_errors(self.samples, weights, self.source(clock_error_s))
+    @cached_property
+    def _errors(self) -> ReferenceErrors | None:
+        """Errors of the reference at samples that may be used, that of the orbit along its track among them."""
+        return reference_errors(self.samples, np.ones(len(self.samples)), self.source(None))
+
+    def errors(self, clock: float | None) -> ReferenceErrors | None:
+        """Return the errors of the reference that are considered; ``clock``: standard error of one that is known, s."""
+        if clock is None or self._errors is None:
+            return self._errors
+        return self._errors.without("orbit_along_track")
 
     def columns(self, observations: Observations, fit: Fit) -> LockedColumns | None:
         """Return the locked columns; None where nothing is known that a bias could be locked to."""
+        known = self._columns.get(id(fit))
+        if known is not None and known[0] is fit:
+            return known[1]
         x_nt = corrected_nt(observations, fit.parameters)
         unit = x_nt / np.linalg.norm(x_nt, axis=1)[:, None]
-        return locked_columns(observations.t_s, self.around, unit, fit.weights > 0)
+        made = locked_columns(observations.t_s, self.around, unit, fit.weights > 0)
+        self._columns[id(fit)] = (fit, made)
+        return made
 
-    def terms(self, observations: Observations, fit: Fit, *, has_clock: bool) -> LockedTerms | None:
+    def terms(
+        self, observations: Observations, fit: Fit, *, has_clock: bool, known: Moments | None = None
+    ) -> LockedTerms | None:
         """Return the estimate with locked errors considered; None where there is nothing that they are locked to.
 
         ``has_clock``: the clock is one unknown more, and ``observations`` have the fall of the reference by it.
+        ``known``: the moments of the fit, where they have been taken already.
         """
         columns = self.columns(observations, fit)
         if columns is None:
             return None
         kind: Kind = "clock" if has_clock else "fit"
-        return locked_terms(observations, fit, columns, covered_s(observations.t_s), kind)
+        return locked_terms(observations, fit, columns, covered_s(observations.t_s), kind, known=known)
 
     def thinned(self) -> tuple[LockedSession, slice]:
         """Return the session with at most some `ENOUGH` of its samples, evenly spaced, and which of them these are."""
@@ -106,15 +123,23 @@ class LockedSession:
         self, estimator: Estimator, settings: FitSettings, observations: Observations, fit: Fit
     ) -> ClockSearch:
         """Return the search for the clock; ``fit``: the plain one to ``observations``, at the telemetry's own times."""
-        movable = self.referenced.movable(self.usable, tuple(observations.regressors))
+        names = tuple(observations.regressors)
+        ready: list[MovableObservations] = []
+
+        def at(shift_s: Floats, rows: slice) -> Observations:
+            # Made ready once it is asked for: most sessions need no search.
+            if not ready:
+                ready.append(self.referenced.movable(self.usable, names))
+            return ready[0].at(shift_s, rows)
+
         columns = self.columns(observations, fit)
         known = LockedColumns(np.zeros((len(observations), 0)), ()) if columns is None else columns
-        errors = self.errors(fit.weights, 0.0)
+        errors = self.errors(0.0)
         # Drag is left out: what it does over weeks is an offset that is to be found.
         is_old = "oem" not in self.referenced.report.orbit_model
         along_km = EPOCH_ERROR_KM + DRIFT_KM_PER_DAY * self.referenced.age_days if is_old else EPHEMERIS_KM
         along_s = along_km / SPEED_KM_S
-        return ClockSearch(estimator, settings, movable.at, known, errors, self.around.period_s, along_s)
+        return ClockSearch(estimator, settings, at, known, errors, self.around.period_s, along_s)
 
     def coarse_clock(self, observations: Observations, *, is_needed: bool = False) -> CoarseClock | None:
         """Return a clock that is minutes or hours off, where the readings' quadric does not suit the field.

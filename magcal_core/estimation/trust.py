@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from magcal_core.calibration.estimators.linear_rows import Moments
 from magcal_core.calibration.reference_errors import reference_shifts
 from magcal_core.calibration.terms.full_matrix import FullMatrix, full_matrix, is_worth_a_test, p_of_lower
 from magcal_core.calibration.terms.locked import moved_fit
@@ -11,20 +12,19 @@ from magcal_core.calibration.terms.locked_clock import LockedClock
 from magcal_core.calibration.time_offset import ClockFit
 from magcal_core.calibration.uncertainty import covered_s
 from magcal_core.estimation.estimate import Estimate, Trust
-from magcal_core.estimation.session import LockedSession
 
 
 def with_locked_terms(estimate: Estimate) -> Estimate:
     """Return the estimate where locked errors leave it, with what is known beside it."""
     prepared, fit, o = estimate.prepared, estimate.fit, estimate.observations
-    session = LockedSession(prepared.referenced, prepared.usable, prepared.estimator.is_vector)
+    session = prepared.session
     clock = estimate.clock
     has_clock = isinstance(clock, LockedClock)
     rated = session.with_rates(o, clock.offset_s) if clock is not None and has_clock else o
-    errors = session.errors(fit.weights, None if clock is None else clock.offset_error_s)
+    errors = session.errors(None if clock is None else clock.offset_error_s)
     shifts = reference_shifts(errors, rated, fit)
     is_ours = prepared.options.locked_terms == "auto" and prepared.estimator.takes_regressors
-    terms = session.terms(rated, fit, has_clock=has_clock) if is_ours else None
+    terms = session.terms(rated, fit, has_clock=has_clock, known=_known(estimate)) if is_ours else None
     if terms is None:
         honest = clock.honest if isinstance(clock, ClockFit) else None
         return replace(estimate, trust=Trust(fit, None, honest, shifts))
@@ -36,3 +36,11 @@ def with_locked_terms(estimate: Estimate) -> Estimate:
     moved = full.fit(o, fit) if full is not None else moved_fit(o, fit, terms)
     trust = Trust(fit, terms, terms.honest(fit, len(o), duration_s), shifts, full)
     return replace(estimate, fit=moved, trust=trust)
+
+
+def _known(estimate: Estimate) -> Moments | None:
+    """Return the moments of the very fit, where the look for a clock has taken them."""
+    tried = estimate.tried_clock
+    if isinstance(tried, LockedClock) and estimate.clock is None and tried.fit is estimate.fit:
+        return tried.moments
+    return None

@@ -83,11 +83,15 @@ def _gauge(matrix: Floats) -> Floats:
 def _lower_by_entries(matrix: Floats, entries: Sequence[tuple[int, int]]) -> Floats:
     """Return the derivative of the six elements of T_low, T = T_low R, by the ``entries`` of T, shape (6, entries).
 
+    These are themselves where only they are unknown.
+
     Notes
     -----
     dT R^T = dL + L S with S skew; with A = L^-1 dT R^T = K + S, K lower triangular: S is minus the transpose of A's
     strict upper half and that half itself, K = A - S.
     """
+    if tuple(entries) == _LOWER:
+        return np.eye(len(_LOWER))
     lower = _gauge(matrix)
     inverse = inverse_lower(lower)
     turn_back = np.linalg.solve(matrix, lower)  # R^T, since T R^T = L
@@ -231,7 +235,16 @@ class Moments:
 
     def merged(self, groups: NDArray[np.intp]) -> Moments:
         """Return the moments of larger blocks, each of the blocks from one of ``groups`` up to the next."""
-        return replace(self, blocks=np.add.reduceat(self.blocks, groups, axis=0))
+        made = self.blocks[groups]
+        for group, (first, last) in enumerate(itertools.pairwise([*groups.tolist(), len(self.blocks)])):
+            if last - first > 1:
+                made[group] += self.blocks[first + 1 : last].sum(axis=0)
+        return replace(self, blocks=made)
+
+    def without(self, unknown: int) -> Moments:
+        """Return the moments without one of the known columns."""
+        kept = np.delete(np.arange(self.blocks.shape[1]), unknown)
+        return Moments(np.ascontiguousarray(self.blocks[:, kept[:, None], kept]), self.known - 1)
 
 
 def rows_of(
@@ -262,7 +275,8 @@ def rows_of(
             # The fit is one of fewer elements: what these rows leave is what their own solution leaves.
             weighed = root[:, None] * raw.jacobian
             left = left - weighed @ (scaled_inverse(weighed.T @ weighed) @ (weighed.T @ left))
-        sigma = _sigma_nt(left, int(np.count_nonzero(used)) - len(raw.places), floor)
+        # The clock stands beside the fit's own unknowns: the noise is what these leave.
+        sigma = _sigma_nt(left, int(np.count_nonzero(used)) - len(raw.places) + clocks, floor)
         channels.append(raw.over(sigma if sigmas_nt is None else sigmas_nt[i], root))
     return Rows(tuple(channels), unknowns, here[0], here[1], used)
 

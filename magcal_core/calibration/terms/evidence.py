@@ -125,8 +125,14 @@ class Mixture:
         return np.asarray(self.weights @ (self.sizes > 0))
 
 
-def mixture_of(reduced: Reduced, families: NDArray[np.intp], freedom: int, share: float) -> Mixture:
-    """Return the posterior over all combinations of `SIZES`.
+def mixture_of(
+    reduced: Reduced,
+    families: NDArray[np.intp],
+    freedom: int,
+    share: float,
+    sizes: tuple[float, ...] = SIZES,
+) -> Mixture:
+    """Return the posterior over all combinations of ``sizes``.
 
     Parameters
     ----------
@@ -137,10 +143,12 @@ def mixture_of(reduced: Reduced, families: NDArray[np.intp], freedom: int, share
         Rows less unknowns (nu).
     share : float
         Effective share of the rows (k).
+    sizes : tuple of float
+        Sizes of each family that are tried, zero first.
     """
     count = int(families.max()) + 1 if len(families) else 0
-    grid = np.array(list(itertools.product(SIZES, repeat=count))).reshape(len(SIZES) ** count, count)
-    prior = np.sum(np.where(grid > 0, np.log((1.0 - ABSENT) / (len(SIZES) - 1)), np.log(ABSENT)), axis=1)
+    grid = np.array(list(itertools.product(sizes, repeat=count))).reshape(len(sizes) ** count, count)
+    prior = np.sum(np.where(grid > 0, np.log((1.0 - ABSENT) / (len(sizes) - 1)), np.log(ABSENT)), axis=1)
     logs = prior + log_likelihoods(reduced, grid[:, families] if count else grid, freedom, share)
     top = float(logs.max())
     weights = np.exp(logs - top)

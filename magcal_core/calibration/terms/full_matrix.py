@@ -77,8 +77,7 @@ class FullMatrix:
     @property
     def standard_errors(self) -> Floats:
         """Standard errors of the elements of T, shape (3, 3)."""
-        found: Floats = np.sqrt(np.diag(self.covariance)[:9])
-        return found.reshape(3, 3)
+        return np.asarray(np.sqrt(np.diag(self.covariance)[:9].reshape(3, 3)), dtype=np.float64)
 
     @property
     def covariance_by_row(self) -> Floats:

@@ -23,7 +23,7 @@ from magcal_core.calibration.fit import BlockScores, Fit, Observations, residual
 from magcal_core.calibration.low_frequencies import low_frequency_variances
 from magcal_core.calibration.result import Parameters
 from magcal_core.calibration.selection import folds_of
-from magcal_core.calibration.terms.evidence import Mixture, Reduced, mixture_of
+from magcal_core.calibration.terms.evidence import SIZES, Mixture, Reduced, mixture_of
 from magcal_core.calibration.terms.locked_columns import LockedColumns
 from magcal_core.calibration.uncertainty import HonestCovariance, student_95, with_blocks
 
@@ -40,6 +40,7 @@ MOVE_ERROR: Final = 0.3
 """Standard error of a move that is made, as a share of it."""
 COHERENCE: Final = 0.1
 """Root mean square coherence of the unseen part of the sun's term with what parameters do: 0.03 to 0.15 measured."""
+_FEW_SIZES: Final = (0.0, 0.3, 3.0)
 _LEAST_ROWS: Final = 5
 _MOST_LAGS: Final = 400
 _BLOCKS: Final = 64
@@ -91,6 +92,8 @@ class LockedTerms:
         Change of the elements of T, the bias and the rest against the fit.
     columns : LockedColumns
         What was held against.
+    moments : Moments
+        Of the rows about the estimate.
     """
 
     parameters: Parameters
@@ -106,6 +109,7 @@ class LockedTerms:
     plain: Parameters
     step: Floats
     columns: LockedColumns
+    moments: Moments
 
     @property
     def shift(self) -> Floats:
@@ -156,6 +160,7 @@ def locked_terms(
     kind: Kind = "fit",
     *,
     always: bool = False,
+    known: Moments | None = None,
 ) -> LockedTerms:
     """Return the estimate with errors locked to ``columns`` considered.
 
@@ -169,11 +174,14 @@ def locked_terms(
         ``fit`` has these unknowns itself. ``clock`` was made at a clock that is one unknown more here, and stays the
         plain estimate. ``full``: all nine elements of T are unknown, and the plain estimate is where they lead.
     always : bool
-        Move in one step whether unseen blocks bear it out or not: for a test.
+        Move in one step whether unseen blocks bear it out or not, over a coarse grid of sizes: for a test.
+    known : Moments, optional
+        The moments of the fit, where they have been taken already.
     """
     begun = rows_of(observations, fit, is_full=kind == "full")
     starts, blocks, folds = _edges(observations, fit)
-    about = _Linear.at(begun, columns, starts)
+    sizes = _FEW_SIZES if always else SIZES
+    about = _Linear.at(begun, columns, known or begun.moments(columns.columns, starts), sizes)
     # What a fit leaves of its own step is no error: its minimum may be that of another residual.
     own_step = about.reduced.offset if kind == "fit" else np.zeros_like(about.reduced.offset)
     first = about.reduced.offset - own_step
@@ -184,7 +192,7 @@ def locked_terms(
     for _ in range(_ROUNDS - 1 if moved and not always else 0):
         sigmas = [channel.sigma_nt for channel in begun.channels]
         rows = rows_of(observations, fit, sigmas_nt=sigmas, at=begun.moved(end), is_full=kind == "full")
-        about = _Linear.at(rows, columns, starts)
+        about = _Linear.at(rows, columns, rows.moments(columns.columns, starts), SIZES)
         end = end + about.reduced.offset - own_step + about.mixture.step
     matrix, parameters = begun.moved(end)
     spread = about.mixture.covariance(None if moved else base - first)
@@ -202,7 +210,7 @@ def locked_terms(
         unknown_covariance=spread * np.outer(every, every) + more,
         covariance=in_parameters * np.outer(widening, widening) + own @ more @ own.T,
         widening=widening,
-        families=about.records(),
+        families={} if always else about.records(),
         effective_share=about.share,
         moved=moved,
         held_out=ratios,
@@ -210,6 +218,7 @@ def locked_terms(
         plain=begun.moved(base)[1],
         step=end,
         columns=columns,
+        moments=about.moments,
     )
 
 
@@ -235,12 +244,11 @@ class _Linear:
     mixture: Mixture
 
     @classmethod
-    def at(cls, rows: Rows, columns: LockedColumns, starts: NDArray[np.intp]) -> _Linear:
-        moments = rows.moments(columns.columns, starts)
+    def at(cls, rows: Rows, columns: LockedColumns, moments: Moments, sizes: tuple[float, ...]) -> _Linear:
         reduced = Reduced.of(moments.total, moments.known)
         families = columns.family_of_terms
         share = effective_share(rows, columns.columns, reduced)
-        mixture = mixture_of(reduced, families, rows.freedom, share)
+        mixture = mixture_of(reduced, families, rows.freedom, share, sizes)
         return cls(rows, columns, moments, reduced, share, mixture)
 
     @property
@@ -256,9 +264,10 @@ class _Linear:
         roots = self.likeliest
         used = np.flatnonzero(roots > 0)
         known, b = self.moments.known, len(blocks)
-        take = np.concatenate([np.arange(known), known + used])
-        merged = self.moments.merged(blocks).blocks
-        normals = merged[:, take[:, None], take]
+        every = np.concatenate([np.arange(known), known + used, [self.moments.blocks.shape[1] - 1]])
+        few = Moments(np.ascontiguousarray(self.moments.blocks[:, every[:, None], every]), known)
+        merged, take = few.merged(blocks).blocks, np.arange(known + len(used))
+        normals = merged[:, :-1, :-1]
         prior = np.concatenate([np.zeros(known), 1.0 / (self.share * roots[used] ** 2)])
         found = np.linalg.solve(normals.sum(axis=0) + np.diag(prior), merged.sum(axis=0)[take, -1])
         scores = merged[:, take, -1] - normals @ found - prior * found / b

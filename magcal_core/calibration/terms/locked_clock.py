@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.calibration.estimators.linear_rows import Moments
 from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations
 from magcal_core.calibration.reference_errors import ReferenceErrors, reference_shifts
 from magcal_core.calibration.slow_waves import slow_waves, wave_columns
@@ -57,6 +58,8 @@ class LockedClock:
     least_s : float
         Smallest offset that may be taken, s.
     wave_periods_s : periods, s, of waves of the bias that are not the orbit's and were unknowns beside it.
+    moments : Moments, optional
+        Of the fit without the clock, where there was no search: what the locked terms are weighed from.
     """
 
     offset_s: float
@@ -67,6 +70,7 @@ class LockedClock:
     is_converged: bool
     least_s: float
     wave_periods_s: tuple[float, ...] = ()
+    moments: Moments | None = None
 
     @property
     def offset_error_s(self) -> float:
@@ -127,11 +131,21 @@ class ClockSearch:
         """Smallest offset that may be taken, s."""
         return max(LEAST_S, ORBIT_SIGMAS * self.along_s)
 
-    def glimpse(self, unmoved: Observations, fit: Fit) -> LockedClock:
-        """Return what one step at offset 0 says; ``fit``: the plain one to ``unmoved``."""
-        step_s, error_s = self._step(self._with_rates(0.0, unmoved), fit)
+    def glimpse(self, rated: Observations, fit: Fit) -> LockedClock:
+        """Return what one step at offset 0 says; ``fit``: the plain one to ``rated``, which have the fall there."""
+        step_s, error_s, moments = self._step(rated, fit)
         is_searched = abs(step_s) >= QUIET * error_s
-        return LockedClock(step_s, error_s, unmoved, fit, is_searched, not is_searched, self.least_s)
+        return LockedClock(
+            step_s,
+            error_s,
+            rated,
+            fit,
+            is_searched,
+            not is_searched,
+            self.least_s,
+            (),
+            moments.without(moments.known - 1),
+        )
 
     def find(self, unmoved: Observations, begin_s: float = 0.0) -> LockedClock:
         """Return the offset that steps from ``begin_s`` on lead to, beside waves of the bias where it shows some."""
@@ -163,7 +177,7 @@ class ClockSearch:
         for _ in range(_ROUNDS):
             here = unmoved if offset_s == 0.0 else self.at(np.full(len(unmoved), offset_s), slice(None))
             fit = self.estimator.fit(here, settings)
-            step_s, error_s = self._step(self._with_rates(offset_s, here), fit)
+            step_s, error_s, _ = self._step(self._with_rates(offset_s, here), fit)
             # Weights of a loss and sizes of the terms change with the clock: steps may go to and fro between two.
             share = 0.5 * share if step_s * before_s < 0.0 else share
             before_s = step_s
@@ -176,12 +190,12 @@ class ClockSearch:
             settings = replace(self.settings, near=fit if abs(step_s) < 0.5 * LONGEST_STEP_S else None)
         return LockedClock(offset_s, error_s, here, fit, True, is_still, self.least_s)
 
-    def _step(self, observations: Observations, fit: Fit) -> tuple[float, float]:
-        """Return the posterior mean of the clock's step and its standard error, s."""
+    def _step(self, observations: Observations, fit: Fit) -> tuple[float, float, Moments]:
+        """Return the posterior mean of the clock's step and its standard error, s, and the moments they come from."""
         terms = locked_terms(observations, fit, self.columns, covered_s(observations.t_s), "clock", always=True)
         variance = float(terms.covariance[-1, -1])
         variance += sum(float(one.shift[-1]) ** 2 for one in reference_shifts(self.errors, observations, fit))
-        return float(terms.step[-1]), float(np.sqrt(variance))
+        return float(terms.step[-1]), float(np.sqrt(variance)), terms.moments
 
     def _with_rates(self, offset_s: float, here: Observations) -> Observations:
         n = len(here)

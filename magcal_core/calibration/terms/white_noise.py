@@ -21,17 +21,25 @@ _NEVER: Final = 0.2
 """Largest move foretold, in standard errors that are too small, below which no parameter is moved by `MOVED`."""
 
 
+def may_matter(observations: Observations, plain: Fit) -> bool:
+    """Return whether noise may move a scale factor of the ``plain`` fit by a part of its standard error.
+
+    Notes
+    -----
+    Noise of sigma makes the scale factors 2 sigma^2 / <B^2> too large (`docs/calibration.md`): that is a share of their
+    formal errors which tells most sessions without a second fit.
+    """
+    noise_nt = robust_sigma(plain.residuals_nt[plain.weights > 0])
+    foretold = 2.0 * noise_nt**2 / float(np.mean(observations.b_nt**2)) * np.abs(plain.parameters.scale)
+    return bool(np.any(foretold >= _NEVER * np.sqrt(np.diag(plain.covariance)[3:6])))
+
+
 def with_white_noise(
     estimator: Estimator, observations: Observations, settings: FitSettings, plain: Fit, shifts: Sequence[Floats]
 ) -> Fit | None:
     """Return the fit with white noise in the reading where that moves a parameter of the ``plain`` one; else None.
 
     ``shifts``: what errors of the reference do to the parameters, each of shape (p,) or more.
-
-    Notes
-    -----
-    Noise of sigma makes the scale factors 2 sigma^2 / <B^2> too large (`docs/calibration.md`): that is a share of their
-    formal errors which tells most sessions without a second fit.
     """
     considered = np.sum([shift[:9] ** 2 for shift in shifts], axis=0) if shifts else np.zeros(9)
     known = np.diag(plain.covariance)[:9] + considered
