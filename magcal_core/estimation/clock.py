@@ -67,7 +67,7 @@ def _beside_locked_errors(estimate: Estimate) -> Estimate:
     with suppress(OrbitMissingError, ModelRangeError):
         tried = _tried(session, prepared, loss, begin_s, is_asked=is_asked)
         is_near = abs(tried.offset_s) <= AUTO_LARGEST_S
-        if not is_asked and not (tried.is_significant and is_near):
+        if not is_asked and not (tried.is_material and is_near):
             return replace(estimate, tried_clock=tried)
         taken = _on_all(session, prepared, loss, tried)
         if taken is not None:

@@ -167,12 +167,17 @@ def _moments(estimate: Estimate, judgement: Judgement) -> FitMoments | None:
         with suppress(OrbitMissingError):
             o = with_rates(o, referenced.movable(estimate.usable, ()).at)
     is_drifting = isinstance(clock, ClockFit) and clock.drift_s_per_day is not None
-    is_clock_fitted = isinstance(clock, ClockFit) and not is_drifting and not clock.wave_periods_s
+    is_clock_fitted = clock is not None and not is_drifting and not clock.wave_periods_s
     if is_drifting:
         o = still(o)
+    elif isinstance(clock, LockedClock) and is_clock_fitted:
+        o = estimate.prepared.session.with_rates(o, clock.offset_s)
     t_utc = samples.t_utc[estimate.usable]
     plain = estimate.fit if estimate.trust is None else estimate.trust.plain
-    return moments_of_fit(o, plain, t_utc, judgement.reference, is_clock_fitted=is_clock_fitted)
+    made = moments_of_fit(o, plain, t_utc, judgement.reference, is_clock_fitted=is_clock_fitted)
+    if estimate.trust is None or estimate.trust.terms is None:
+        return made
+    return replace(made, trusted=np.stack([estimate.fit.parameters.vector, judgement.standard_errors.vector]))
 
 
 def _oriented(estimate: Estimate) -> Observations:
@@ -206,11 +211,11 @@ def _is_told(estimate: Estimate) -> bool:
 def _fit_warnings(estimate: Estimate) -> list[str]:
     """Return the warnings of the fit, with the full matrix in place of its own, and those of the locked terms."""
     trust = estimate.trust
-    if trust is None or trust.terms is None:
+    if trust is None or (trust.terms is None and trust.full is None):
         return list(estimate.fit.warnings)
     found = [text for text in trust.plain.warnings if not text.startswith("misaligned")]
     if trust.full is None:
-        return [*found, *trust.terms.warnings]
+        return found if trust.terms is None else [*found, *trust.terms.warnings]
     return [*found, trust.full.warning, *trust.full.terms.warnings]
 
 

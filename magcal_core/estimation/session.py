@@ -27,6 +27,7 @@ from magcal_core.calibration.terms.locked_columns import (
     LockedColumns,
     Surroundings,
     locked_columns,
+    no_columns,
     surroundings_of,
 )
 from magcal_core.calibration.uncertainty import covered_s
@@ -133,7 +134,7 @@ class LockedSession:
             return ready[0].at(shift_s, rows)
 
         columns = self.columns(observations, fit)
-        known = LockedColumns(np.zeros((len(observations), 0)), ()) if columns is None else columns
+        known = no_columns(len(observations)) if columns is None else columns
         errors = self.errors(0.0)
         # Drag is left out: what it does over weeks is an offset that is to be found.
         is_old = "oem" not in self.referenced.report.orbit_model

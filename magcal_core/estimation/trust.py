@@ -9,8 +9,9 @@ from magcal_core.calibration.reference_errors import reference_shifts
 from magcal_core.calibration.terms.full_matrix import FullMatrix, full_matrix, is_worth_a_test, p_of_lower
 from magcal_core.calibration.terms.locked import moved_fit
 from magcal_core.calibration.terms.locked_clock import LockedClock
+from magcal_core.calibration.terms.locked_columns import no_columns
 from magcal_core.calibration.time_offset import ClockFit
-from magcal_core.calibration.uncertainty import covered_s
+from magcal_core.calibration.uncertainty import HonestCovariance, covered_s
 from magcal_core.estimation.estimate import Estimate, Trust
 
 
@@ -25,17 +26,19 @@ def with_locked_terms(estimate: Estimate) -> Estimate:
     shifts = reference_shifts(errors, rated, fit)
     is_ours = prepared.options.locked_terms == "auto" and prepared.estimator.takes_regressors
     terms = session.terms(rated, fit, has_clock=has_clock, known=_known(estimate)) if is_ours else None
-    if terms is None:
-        honest = clock.honest if isinstance(clock, ClockFit) else None
-        return replace(estimate, trust=Trust(fit, None, honest, shifts))
     duration_s = covered_s(o.t_s)
     full: FullMatrix | None = None
-    if prepared.estimator.is_vector and is_worth_a_test(p_of_lower(fit)):
-        full = full_matrix(rated, fit, terms.columns, errors, duration_s)
+    if is_ours and prepared.estimator.is_vector and is_worth_a_test(p_of_lower(fit)):
+        columns = no_columns(len(o)) if terms is None else terms.columns
+        full = full_matrix(rated, fit, columns, errors, duration_s)
         full = full if full.is_taken else None
-    moved = full.fit(o, fit) if full is not None else moved_fit(o, fit, terms)
-    trust = Trust(fit, terms, terms.honest(fit, len(o), duration_s), shifts, full)
-    return replace(estimate, fit=moved, trust=trust)
+    moved = fit if terms is None else moved_fit(o, fit, terms)
+    if terms is not None:
+        honest: HonestCovariance | None = terms.honest(fit, len(o), duration_s)
+    else:
+        honest = clock.honest if isinstance(clock, ClockFit) else None
+    moved = full.fit(o, fit) if full is not None else moved
+    return replace(estimate, fit=moved, trust=Trust(fit, terms, honest, shifts, full))
 
 
 def _known(estimate: Estimate) -> Moments | None:

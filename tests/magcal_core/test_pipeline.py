@@ -112,13 +112,23 @@ def test_readings_that_are_not_finite_are_flagged_and_left_out(nominal):
         calibrate(replace(nominal, h_nt=h))
 
 
-def test_reference_in_a_turned_frame_is_refused_with_the_reason(nominal):
+def test_a_reference_in_a_turned_frame_gives_the_full_matrix(nominal):
+    """T = T_low R: the matrix has the turn, scale and angles are those of T_low, and a warning says so."""
     turn = np.deg2rad(8.0)
     rotation = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    straight = calibrate(nominal, method="vector")
     got = calibrate(replace(nominal, b_ref_base_nt=nominal.b_ref_base_nt @ rotation), method="vector")
-    assert got.verdict.grade == "refuse"
-    assert "misaligned" in [reason.code for reason in got.verdict.reasons]
-    assert got.extras["full_matrix"]["rotation_deg"] == pytest.approx(8.0, abs=0.1)
+    assert (straight.extras["parameters_of"], got.extras["parameters_of"]) == ("lower", "full")
+    assert got.verdict.grade == "accept"
+    assert [one for one in got.warnings if one.startswith("misaligned")]
+    np.testing.assert_allclose(got.matrix, straight.matrix @ rotation, atol=1e-3)
+    np.testing.assert_allclose(got.parameters.scale, straight.parameters.scale, atol=1e-3)
+    errors = np.array(got.extras["matrix_standard_errors"])
+    assert np.all(errors > 0)
+    assert not np.triu(straight.extras["matrix_standard_errors"], 1).any()
+    covariance = np.array(got.extras["covariance_full"])
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance))[[0, 1, 2]], errors[0])
+    np.testing.assert_allclose(got.matrix @ got.correction_matrix, np.eye(3), atol=1e-12)
 
 
 def test_samples_without_a_reference_need_an_orbit(nominal):
@@ -293,15 +303,30 @@ class TestTimeOffset:
         """Within four of its own standard errors; sign: what must be added to the telemetry's clock."""
         got = calibrate(self.flown(orbit, offset_s), [orbit], method=method, time_offset="estimate")
         error = got.standard_errors.time_offset_s
-        assert error < 0.5
+        assert error < 1.0
         assert got.parameters.time_offset_s == pytest.approx(offset_s, abs=4 * error)
         assert got.extras["time_offset"]["is_significant"]
 
-    def test_auto_looks_only_where_the_orbit_is_old(self, orbit):
-        fresh = calibrate(self.flown(orbit, 5.0), [orbit])
-        assert fresh.parameters.time_offset_s is None
-        old = calibrate(self.flown(orbit, 5.0, days=5.0), [orbit])
-        assert old.parameters.time_offset_s == pytest.approx(5.0, abs=0.5)
+    @pytest.mark.parametrize("days", [0.0, 5.0])
+    def test_auto_finds_an_offset_whatever_the_age_of_the_orbit(self, orbit, days):
+        """Of a fresh orbit 5 s are taken; of one that is 5 days off only what its own error does not explain."""
+        offset_s = 5.0 if not days else 20.0
+        got = calibrate(self.flown(orbit, offset_s, days=days), [orbit])
+        assert got.parameters.time_offset_s == pytest.approx(offset_s, abs=4 * got.standard_errors.time_offset_s)
+        assert got.extras["time_offset"]["is_taken"]
+        left = calibrate(self.flown(orbit, 0.5, days=days), [orbit])
+        assert left.parameters.time_offset_s is None
+        assert not left.extras["time_offset"]["is_taken"]
+
+    @pytest.mark.parametrize("offset_s", [300.0, -1000.0, 20000.0])
+    def test_a_clock_that_is_far_off_is_suspected_unasked_and_taken_where_it_is_asked_for(self, orbit, offset_s):
+        samples = replace(self.flown(orbit, offset_s), q_base_gcrf=None)
+        asked = calibrate(samples, [orbit], time_offset="estimate")
+        assert asked.parameters.time_offset_s == pytest.approx(offset_s, abs=4 * asked.standard_errors.time_offset_s)
+        coarse = asked.extras["time_offset"]["coarse"]
+        assert coarse["offset_s"] == pytest.approx(offset_s, abs=3.0)
+        assert coarse["ratio_to_plain"] < 1.0 / 3.0 < 1.3 < coarse["next_ratio"]
+        assert asked.verdict.grade == "accept"
 
     def test_auto_leaves_out_an_offset_that_the_data_do_not_show(self, orbit):
         got = calibrate(self.flown(orbit, 0.0, days=5.0), [orbit])
@@ -314,8 +339,8 @@ class TestTimeOffset:
         clock = calibrate(self.flown(orbit, 0.0), [orbit], time_offset="estimate").extras["time_offset"]
         assert clock["detectable_s"] == pytest.approx(3.815 * clock["standard_error_s"], rel=1e-3)
 
-    def test_a_wave_of_the_bias_is_told_and_does_not_widen_the_offset(self, orbit):
-        """94 min and 150 nT over 3.2 h: told to 10 %, and the offset's error stays within 1.6 times that without it.
+    def test_a_wave_of_the_orbit_is_told_and_does_not_widen_the_offset(self, orbit):
+        """94 min and 150 nT over 3.2 h: told, and the offset's error stays within twice that without it.
 
         As an error with a memory, which it is where nobody names it, such a wave makes it three times as large.
         """
@@ -324,14 +349,22 @@ class TestTimeOffset:
         waved = Disturbances(50.0, time_offset_s=1.0, wave_nt=(100.0, -80.0, 80.0), wave_period_s=5640.0)
         samples = simulate(orbit, sensor, start, 11500.0, 10.0, disturbances=waved, seed=3).samples
         got = calibrate(samples, [orbit], time_offset="estimate")
-        (warning,) = [one for one in got.warnings if one.startswith("bias_waves")]
-        assert "min" in warning
+        assert [one for one in got.warnings if one.startswith("bias_locked")]
         clock = got.extras["time_offset"]
-        assert min(abs(period_s - 5640.0) for period_s in clock["wave_periods_s"]) < 564.0
         quiet = calibrate(self.flown(orbit, 1.0), [orbit], time_offset="estimate")
-        assert not quiet.extras["time_offset"]["wave_periods_s"]
-        assert clock["standard_error_s"] < 1.6 * quiet.extras["time_offset"]["standard_error_s"]
+        assert clock["standard_error_s"] < 2.0 * quiet.extras["time_offset"]["standard_error_s"]
         assert clock["offset_s"] == pytest.approx(1.0, abs=4 * clock["standard_error_s"])
+
+    def test_a_wave_of_another_period_is_an_unknown_beside_the_offset(self, orbit):
+        """40 min and 150 nT: no family has it, and its period is told to 10 %."""
+        start = orbit.epoch_utc.astype("datetime64[s]")
+        sensor = SensorModel([2928.125, -1191.25, -1875.625], [1.032695, 1.006685, 1.032875], [-4.53, -1.067, 7.915])
+        waved = Disturbances(50.0, time_offset_s=5.0, wave_nt=(100.0, -80.0, 80.0), wave_period_s=2400.0)
+        samples = simulate(orbit, sensor, start, 11500.0, 10.0, disturbances=waved, seed=3).samples
+        got = calibrate(samples, [orbit], time_offset="estimate")
+        clock = got.extras["time_offset"]
+        assert min(abs(period_s - 2400.0) for period_s in clock["wave_periods_s"]) < 240.0
+        assert clock["offset_s"] == pytest.approx(5.0, abs=4 * clock["standard_error_s"])
 
     def test_planted_drift_is_found(self, orbit):
         """40 s a day over 3.2 h; within four standard errors."""

@@ -77,7 +77,9 @@ class FullMatrix:
     @property
     def standard_errors(self) -> Floats:
         """Standard errors of the elements of T, shape (3, 3)."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)[:9].reshape(3, 3)), dtype=np.float64)
+        found = np.zeros((3, 3))
+        found.flat = np.sqrt(np.diag(self.covariance)[:9])
+        return found
 
     @property
     def covariance_by_row(self) -> Floats:

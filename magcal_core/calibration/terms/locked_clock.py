@@ -84,9 +84,13 @@ class LockedClock:
 
     @property
     def is_significant(self) -> bool:
+        """Whether the data show an offset."""
+        return self.is_searched and self.is_converged and self.test.p_value < SIGNIFICANCE
+
+    @property
+    def is_material(self) -> bool:
         """Whether the data show an offset that matters beside what the orbit may be off along its track."""
-        is_shown = self.is_searched and self.is_converged and self.test.p_value < SIGNIFICANCE
-        return is_shown and abs(self.offset_s) > self.least_s
+        return self.is_significant and abs(self.offset_s) > self.least_s
 
     @property
     def is_bounded(self) -> bool:

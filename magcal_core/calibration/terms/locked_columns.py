@@ -100,6 +100,11 @@ class LockedColumns:
         return LockedColumns(self.columns[:, kept], tuple(self.families[i] for i in kept), self.unseen)
 
 
+def no_columns(samples: int) -> LockedColumns:
+    """Return the columns of a session of which nothing is known that a bias could be locked to."""
+    return LockedColumns(np.zeros((samples, 0)), ())
+
+
 def surroundings_of(
     samples: Samples, orbits: Sequence[Orbit], field: FieldModel, *, needs_cosine: bool = True
 ) -> Surroundings:

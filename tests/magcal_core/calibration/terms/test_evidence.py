@@ -57,7 +57,8 @@ def test_posterior_is_that_of_generalised_least_squares(model, share):
         noise = squares / share / (N - Q)
         scale = np.sqrt(np.diag(inverse) * noise)
         np.testing.assert_allclose((reduced.offset + step) / scale, d / scale, atol=1e-5)
-        np.testing.assert_allclose(covariance / np.outer(scale, scale), inverse * noise / np.outer(scale, scale), atol=1e-5)
+        size = np.outer(scale, scale)
+        np.testing.assert_allclose(covariance / size, inverse * noise / size, atol=1e-5)
 
 
 def test_probabilities_name_the_family_that_is_there(model):
