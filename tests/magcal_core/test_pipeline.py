@@ -303,7 +303,7 @@ class TestTimeOffset:
         """Within four of its own standard errors; sign: what must be added to the telemetry's clock."""
         got = calibrate(self.flown(orbit, offset_s), [orbit], method=method, time_offset="estimate")
         error = got.standard_errors.time_offset_s
-        assert error < 1.0
+        assert error < (1.5 if method == "scalar" else 0.5)
         assert got.parameters.time_offset_s == pytest.approx(offset_s, abs=4 * error)
         assert got.extras["time_offset"]["is_significant"]
 
@@ -380,12 +380,15 @@ class TestTimeOffset:
             calibrate(nominal, time_offset="estimate")
 
     @pytest.mark.parametrize("method", ["scalar", "vector"])
-    def test_half_a_second_is_told_from_nothing(self, orbit, method):
-        """Eight passes each: a false offset in 4 %, a missed one of 0.5 s in 5 % of scalar passes: at most one each."""
-        found = {}
-        for offset_s in (0.0, 0.5):
+    def test_some_seconds_are_told_from_nothing(self, orbit, method):
+        """Eight passes each: a false offset in 3 %, at most one; 6 s of |B| and 2 s of components are missed by none.
+
+        The errors have what 40 nT of external field do to the offset in them: 1.3 s of |B| over two orbits.
+        """
+        found, planted_s = {}, 6.0 if method == "scalar" else 2.0
+        for offset_s in (0.0, planted_s):
             passes = [self.flown(orbit, offset_s, days=0.3 * seed, seed=seed) for seed in range(8)]
             results = [calibrate(one, [orbit], method=method, time_offset="estimate") for one in passes]
             found[offset_s] = sum(one.extras["time_offset"]["is_significant"] for one in results)
         assert found[0.0] <= 1
-        assert found[0.5] >= 7
+        assert found[planted_s] == 8

@@ -78,13 +78,14 @@ class FullMatrix:
     def standard_errors(self) -> Floats:
         """Standard errors of the elements of T, shape (3, 3)."""
         found = np.zeros((3, 3))
-        found.flat = np.sqrt(np.diag(self.covariance)[:9])
+        for row in range(3):
+            found[row] = np.sqrt(np.diag(self.covariance[3 * row : 3 * row + 3, 3 * row : 3 * row + 3]))
         return found
 
     @property
     def covariance_by_row(self) -> Floats:
         """The covariance in the order T11 T12 T13 b1 T21 .. b3, shape (12, 12)."""
-        return self.covariance[np.ix_(_BY_ROW, _BY_ROW)]
+        return np.asarray(self.covariance[_BY_ROW][:, _BY_ROW], np.float64)
 
     @property
     def rotation_deg(self) -> float:
