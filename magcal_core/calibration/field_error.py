@@ -65,7 +65,11 @@ def field_error(parameters: Parameters, covariance: Floats) -> FieldError:
     found, at = _worst(derivative, covariance[:9, :9])
     names = list(_PARTS)
     sizes = [
-        float(np.linalg.norm(derivative[at, :, part] @ covariance[part, part] @ derivative[at, :, part].T))
+        float(
+            np.linalg.norm(
+                derivative[at, :, part] @ np.nan_to_num(covariance[part, part], posinf=0.0) @ derivative[at, :, part].T
+            )
+        )
         for part in _PARTS.values()
     ]
     return FieldError(found, _directions()[at], names[int(np.argmax(sizes))])
@@ -86,9 +90,9 @@ def field_error_of_matrix(matrix: Floats, covariance: Floats) -> FieldError:
 
 def _worst(derivative: Floats, covariance: Floats) -> tuple[float, int]:
     """Return the error at 95 %, as a share of the field, in the worst direction, and which of them it is."""
-    spread = derivative @ covariance @ derivative.swapaxes(1, 2)
-    if not np.isfinite(spread).all():
+    if not np.isfinite(covariance).all():
         return float("inf"), 0
+    spread = derivative @ covariance @ derivative.swapaxes(1, 2)
     largest = np.linalg.eigvalsh(0.5 * (spread + spread.swapaxes(1, 2)))[:, -1]
     at = int(np.argmax(largest))
     return float(SIGMAS * np.sqrt(max(float(largest[at]), 0.0)) / FIELD_NT), at

@@ -1,4 +1,4 @@
-"""The worked missions of errors locked to the orbit: an independent generator's, with what its own code makes of them."""
+"""Worked missions of errors locked to the orbit: an independent generator's, with what its own code makes of them."""
 
 import json
 
