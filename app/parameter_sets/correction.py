@@ -10,15 +10,19 @@ import numpy as np
 from magcal_core.errors import Fault, TelemetryFormatError
 from magcal_core.regressor_columns import is_of_scale, missing_columns, source_of
 from magcal_core.samples import Floats, Samples
-from magcal_core.sensor import SensorModel
+from magcal_core.sensor import SensorModel, lower_triangular_gauge
 
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """The sensor of a parameter set and how its bias, nT per unit, and its scale, per unit, follow the regressors."""
+    """The sensor of a parameter set and how its bias, nT per unit, and its scale, per unit, follow the regressors.
+
+    ``rotation``: R of T = T_low R, shape (3, 3), T_low being that of ``sensor``: base frame to that of the sensor's axes.
+    """
 
     sensor: SensorModel
     regressors: Mapping[str, Floats]
+    rotation: Floats
 
     @classmethod
     def of(cls, record: Mapping[str, object]) -> Correction:
@@ -28,17 +32,18 @@ class Correction:
             raise TypeError("a parameter set without parameters")
         bias, scale, angles = (np.array(parameters[name]) for name in ("bias_nt", "scale", "nonorthogonality_deg"))
         regressors = {name: np.array(value) for name, value in parameters["regressors"].items()}
-        return cls(SensorModel(bias, scale, angles), regressors)
+        return cls(SensorModel(bias, scale, angles), regressors, rotation_of(record.get("matrix")))
 
     def apply(self, samples: Samples) -> Samples:
         """Return ``samples`` with corrected readings in the base frame, nT."""
         drift_nt, share = self._terms(samples)
-        return replace(samples, h_nt=self.sensor.correct(samples.h_nt * (1.0 - share) - drift_nt))
+        along_axes_nt = self.sensor.correct(samples.h_nt * (1.0 - share) - drift_nt)
+        return replace(samples, h_nt=along_axes_nt @ self.rotation)
 
     def unapply(self, samples: Samples) -> Samples:
         """Return ``samples``, whose readings are corrected, with raw readings, nT."""
         drift_nt, share = self._terms(samples)
-        return replace(samples, h_nt=(self.sensor.apply(samples.h_nt) + drift_nt) / (1.0 - share))
+        return replace(samples, h_nt=(self.sensor.apply(samples.h_nt @ self.rotation.T) + drift_nt) / (1.0 - share))
 
     def _terms(self, samples: Samples) -> tuple[Floats, Floats]:
         """Return what the bias and, as a share of the raw reading, the scale add to each reading, shape (n, 3)."""
@@ -51,3 +56,11 @@ class Correction:
             added = share if is_of_scale(name) else drift_nt
             added += samples.housekeeping[source_of(name)][:, None] * change
         return drift_nt, share
+
+
+def rotation_of(matrix: object) -> Floats:
+    """Return R of T = T_low R, shape (3, 3), for the ``matrix`` T of a record; no turn where T is lower triangular."""
+    if matrix is None:
+        return np.eye(3)
+    full = np.asarray(matrix, dtype=np.float64)
+    return lower_triangular_gauge(full)[1] if np.triu(full, 1).any() else np.eye(3)

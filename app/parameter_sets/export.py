@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 import yaml
 
+from app.parameter_sets.correction import rotation_of
 from app.parameter_sets.schemas import ParameterSetRead
 from app.parameter_sets.worked import COLUMN, formula, rotation_of_symmetric, worked
 from app.schemas import utc_text
@@ -46,12 +47,12 @@ def exported(record: ParameterSetRead, convention: str, form: str) -> tuple[str,
         "field_model": record.field_model,
         "verdict": record.verdict.grade,
         "convention": convention,
-        "formula": formula(convention, list(exact["regressors"])),
+        "formula": formula(convention, list(exact["regressors"]), is_full=bool(np.triu(record.matrix, 1).any())),
         "parameters": parameters,
         "correction_matrix": record.correction_matrix,
         "worked_example": {
             "regressors": dict.fromkeys(exact["regressors"], COLUMN),
-            **asdict(worked(sensor, exact["regressors"])),
+            **asdict(worked(sensor, exact["regressors"], rotation_of(record.matrix))),
         },
     }
     media_type, write = EXPORTERS[form]
