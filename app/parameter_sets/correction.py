@@ -17,7 +17,7 @@ from magcal_core.sensor import SensorModel, lower_triangular_gauge
 class Correction:
     """The sensor of a parameter set and how its bias, nT per unit, and its scale, per unit, follow the regressors.
 
-    ``rotation``: R of T = T_low R, shape (3, 3), T_low being that of ``sensor``: base frame to that of the sensor's axes.
+    ``rotation``: R of T = T_low R, shape (3, 3), T_low that of ``sensor``: from the base frame to the sensor's own.
     """
 
     sensor: SensorModel

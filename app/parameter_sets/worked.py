@@ -46,8 +46,8 @@ class Worked:
 
 
 FULL: Final = (
-    "corrected = correction_matrix * (raw - offset): the matrix is full, and the parameters of this convention are those "
-    "of its lower triangular factor, which give |corrected| alone"
+    "corrected = correction_matrix * (raw - offset): the matrix is full, and the parameters of this convention are "
+    "those of its lower triangular factor, which give |corrected| alone"
 )
 """The same where T has elements above its diagonal and the convention has none."""
 _TURNED: Final = frozenset({"exact", "lower-triangular", "on-board"})
