@@ -48,6 +48,11 @@ class CalibrationBody(JobBody, CalibrationOptionsBody):
 
     kind: Literal["calibration"]
     session_ids: list[Identifier] = Field(min_length=1, max_length=1000)
+    candidate_orbits: list[Identifier] | None = Field(
+        None,
+        max_length=1000,
+        description="Orbits that a diagnosis tries where the calibration fails. Unset: all near ones in reach.",
+    )
 
 
 class ReprocessingBody(CalibrationOptionsBody):
