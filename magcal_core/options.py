@@ -13,6 +13,7 @@ METHODS: Final = ("scalar", "scalar-hooke-jeeves", "vector", "vector-closed-form
 ORBIT_MODELS: Final = ("sgp4", "numerical")
 TIME_OFFSETS: Final = ("auto", "none", "estimate")
 ROBUST_LOSSES: Final = ("auto", "none", "huber", "soft_l1", "cauchy", "tukey")
+RESPONSES: Final = ("none", "auto")
 NOISE_MODELS: Final = ("none", "white")
 
 
@@ -26,6 +27,7 @@ class OptionValues(TypedDict, total=False):
     time_offset: str
     time_drift: bool
     regressors: str | tuple[str, ...]
+    response: str
     robust: str
     noise_model: str
     noise_nt: float | None
@@ -46,7 +48,9 @@ class CalibrationOptions:
     time_offset : ``none``, ``estimate``, or ``auto``: where the orbit is more than 3 d from the data and they show one.
     time_drift : estimate a drift of the clock beside its offset.
     regressors : housekeeping columns that move the bias (``time``: hours since the first sample), or ``auto``;
-        ``temperature*h``: that column moves the scale.
+        ``temperature*h``: that column moves the scale; ``torque_0@1``: one sample late; ``torque_*``: three columns of
+        one stem; ``h^2``, ``h^3``, ``dh/dt``: responses of the sensor itself.
+    response : whether ``auto`` tries these responses as well: ``none`` or ``auto``.
     robust : loss; ``auto``: none where the data are clean, else Tukey's from a start that half of the rows may be wrong
         for.
     noise_model : noise model.
@@ -67,6 +71,7 @@ class CalibrationOptions:
     time_offset: str = "auto"
     time_drift: bool = False
     regressors: str | tuple[str, ...] = ()
+    response: str = "none"
     robust: str = "auto"
     noise_model: str = "none"
     noise_nt: float | None = None
@@ -106,7 +111,7 @@ class CalibrationOptions:
     def is_plain(self) -> bool:
         """Whether they ask for the plain fit of published figures, to the rows as they came."""
         is_bare = self.robust == self.noise_model == self.time_offset == "none"
-        return is_bare and self.regressors == ()
+        return is_bare and self.regressors == () and self.response == "none"
 
     def to_dict(self) -> dict[str, object]:
         """Return the options as the records of the service have them."""
@@ -171,6 +176,7 @@ _CHECKS: Final[Mapping[str, _Check]] = {
     "time_offset": _one_of(TIME_OFFSETS),
     "time_drift": _flag,
     "regressors": _regressors,
+    "response": _one_of(RESPONSES),
     "robust": _one_of(ROBUST_LOSSES),
     "noise_model": _one_of(NOISE_MODELS),
     "noise_nt": _number(1e-6, 1e6, "nT", may_be_none=True),

@@ -27,7 +27,15 @@ from app.cli.options import (
     usage_error,
 )
 from magcal_core.errors import InputError, MagcalError, OptionError
-from magcal_core.options import METHODS, NOISE_MODELS, ORBIT_MODELS, ROBUST_LOSSES, TIME_OFFSETS, CalibrationOptions
+from magcal_core.options import (
+    METHODS,
+    NOISE_MODELS,
+    ORBIT_MODELS,
+    RESPONSES,
+    ROBUST_LOSSES,
+    TIME_OFFSETS,
+    CalibrationOptions,
+)
 from magcal_core.units import NT_PER_UNIT
 
 if TYPE_CHECKING:
@@ -81,6 +89,8 @@ def _estimation_options(function: F) -> F:
         click.option("--time-offset", type=click.Choice(TIME_OFFSETS), help="Clock offset.  [default: auto]"),
         click.option("--time-drift", is_flag=True, default=None, help="Estimate a drift of the clock as well."),
         click.option("--regressors", help="Columns that move the bias: a,b,.. or auto; a*h: the scale."),
+        click.option("--response", type=click.Choice(RESPONSES),
+                     help="Whether auto tries h^2, h^3 and dh/dt too.  [default: none]"),
         click.option("--robust", type=click.Choice(ROBUST_LOSSES), help="Loss.  [default: auto]"),
         click.option("--noise-model", type=click.Choice(NOISE_MODELS), help="[default: none]"),
         click.option("--noise", "noise_nt", type=float, help="Noise of a component, nT, where it is known."),

@@ -22,6 +22,7 @@ class CalibrationOptionsBody(Body):
     time_offset: Literal["auto", "none", "estimate"] | None = None
     time_drift: bool | None = None
     regressors: list[str] | Literal["auto"] | None = None
+    response: Literal["none", "auto"] | None = None
     robust: Literal["auto", "none", "huber", "soft_l1", "cauchy", "tukey"] | None = None
     noise_model: Literal["none", "white"] | None = None
     noise_nt: float | None = Field(None, gt=0, description="Unset: the magnetometer's.")

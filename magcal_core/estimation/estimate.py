@@ -12,6 +12,7 @@ from magcal_core.calibration.estimators.loss import LossFit, LossUse
 from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations
 from magcal_core.calibration.regressors import Ablation
 from magcal_core.calibration.scale_terms import WithScaleTerms
+from magcal_core.calibration.terms.regressor_candidates import RegressorCandidate, expanded
 from magcal_core.calibration.terms.trimmed_clock import TrimmedClock
 from magcal_core.calibration.time_offset import ClockFit
 from magcal_core.errors import OptionError
@@ -44,7 +45,8 @@ class Prepared:
             An option does not suit the method, or the samples cannot be used.
         """
         estimator: Estimator = WithScaleTerms(ESTIMATORS[options.method])
-        names = () if isinstance(options.regressors, str) else options.regressors
+        keeping = tuple(referenced.samples.housekeeping)
+        names = () if isinstance(options.regressors, str) else expanded(options.regressors, keeping)
         if names and not estimator.takes_regressors:
             raise OptionError(f"{estimator.name} takes no regressors; scalar and vector do")
         settings = FitSettings(options.robust, options.noise_model, options.noise_nt)
@@ -72,6 +74,8 @@ class Estimate:
         The scan of the clock, where one was made.
     clock, tried_clock : ClockFit, optional
         The clock where its offset is part of the result, and the one that was looked for.
+    ablation, candidates
+        Models that were tried, and columns that might have been regressors.
     """
 
     prepared: Prepared
@@ -82,6 +86,7 @@ class Estimate:
     clock: ClockFit | None = None
     tried_clock: ClockFit | None = None
     ablation: tuple[Ablation, ...] = field(default=())
+    candidates: tuple[RegressorCandidate, ...] = field(default=())
 
     @property
     def estimator(self) -> Estimator:

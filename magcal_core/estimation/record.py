@@ -86,6 +86,8 @@ def _extras(estimate: Estimate, judged: Judged, diagnosis: Diagnosis | None) -> 
         extras["time_offset"] = estimate.tried_clock.to_dict()
     if estimate.ablation:
         extras["ablation"] = [row.to_dict() for row in estimate.ablation]
+    if estimate.candidates:
+        extras["regressor_candidates"] = [one.to_dict() for one in estimate.candidates]
     return {**extras, **_resampled(estimate, judgement)}
 
 
@@ -170,6 +172,12 @@ def _warnings(estimate: Estimate, judged: Judged) -> tuple[str, ...]:
         judgement.standard_errors,
         is_vector=estimate.estimator.is_vector,
     )
+    if estimate.options.regressors != "auto":
+        found += [
+            f"{one.excluded}: {one.name} was asked for; auto would leave it out"
+            for one in estimate.candidates
+            if one.excluded is not None
+        ]
     clock = estimate.tried_clock
     if clock is not None and estimate.clock is None:
         found.append(
