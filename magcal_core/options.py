@@ -14,6 +14,7 @@ ORBIT_MODELS: Final = ("sgp4", "numerical")
 TIME_OFFSETS: Final = ("auto", "none", "estimate")
 ROBUST_LOSSES: Final = ("auto", "none", "huber", "soft_l1", "cauchy", "tukey")
 RESPONSES: Final = ("none", "auto")
+GYRO_UNITS: Final = ("deg/s", "rad/s")
 NOISE_MODELS: Final = ("none", "white")
 
 
@@ -31,6 +32,8 @@ class OptionValues(TypedDict, total=False):
     robust: str
     noise_model: str
     noise_nt: float | None
+    gyro: tuple[str, ...]
+    gyro_unit: str
     max_orbit_age_days: float
     bootstrap: int
     seed: int
@@ -55,6 +58,7 @@ class CalibrationOptions:
         for.
     noise_model : noise model.
     noise_nt : noise of one component, nT, where it is known.
+    gyro, gyro_unit : three columns of angular rate, and ``deg/s`` or ``rad/s``: they tell the mounting.
     max_orbit_age_days : orbits further from the data are refused.
     bootstrap : replicates of the block bootstrap, 0 for none; ``seed`` makes them repeatable.
 
@@ -75,13 +79,16 @@ class CalibrationOptions:
     robust: str = "auto"
     noise_model: str = "none"
     noise_nt: float | None = None
+    gyro: tuple[str, ...] = ()
+    gyro_unit: str = "deg/s"
     max_orbit_age_days: float = 14.0
     bootstrap: int = 0
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if isinstance(self.regressors, list):
-            object.__setattr__(self, "regressors", tuple(self.regressors))
+        for name in ("regressors", "gyro"):
+            if isinstance(getattr(self, name), list):
+                object.__setattr__(self, name, tuple(getattr(self, name)))
         faults = [
             Fault(name, why, repr(getattr(self, name)))
             for name, check in _CHECKS.items()
@@ -116,7 +123,8 @@ class CalibrationOptions:
     def to_dict(self) -> dict[str, object]:
         """Return the options as the records of the service have them."""
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return values | {"regressors": self.regressors if isinstance(self.regressors, str) else list(self.regressors)}
+        regressors = self.regressors if isinstance(self.regressors, str) else list(self.regressors)
+        return values | {"regressors": regressors, "gyro": list(self.gyro)}
 
 
 _Check = Callable[[object], str | None]
@@ -168,6 +176,12 @@ def _regressors(value: object) -> str | None:
     return None if len(set(value)) == len(value) else "a column is named twice"
 
 
+def _gyro(value: object) -> str | None:
+    is_good = isinstance(value, tuple) and all(isinstance(name, str) and name for name in value)
+    is_whole = isinstance(value, tuple) and len(set(value)) == len(value) and len(value) in (0, 3)
+    return None if is_good and is_whole else "want three column names, one an axis"
+
+
 _CHECKS: Final[Mapping[str, _Check]] = {
     "method": _one_of(METHODS),
     "field": _field_name,
@@ -180,6 +194,8 @@ _CHECKS: Final[Mapping[str, _Check]] = {
     "robust": _one_of(ROBUST_LOSSES),
     "noise_model": _one_of(NOISE_MODELS),
     "noise_nt": _number(1e-6, 1e6, "nT", may_be_none=True),
+    "gyro": _gyro,
+    "gyro_unit": _one_of(GYRO_UNITS),
     "max_orbit_age_days": _number(0.0, 36525.0, "d"),
     "bootstrap": _whole(0, 10_000),
     "seed": _whole(0, 2**63 - 1),

@@ -28,6 +28,7 @@ from app.cli.options import (
 )
 from magcal_core.errors import InputError, MagcalError, OptionError
 from magcal_core.options import (
+    GYRO_UNITS,
     METHODS,
     NOISE_MODELS,
     ORBIT_MODELS,
@@ -94,6 +95,8 @@ def _estimation_options(function: F) -> F:
         click.option("--robust", type=click.Choice(ROBUST_LOSSES), help="Loss.  [default: auto]"),
         click.option("--noise-model", type=click.Choice(NOISE_MODELS), help="[default: none]"),
         click.option("--noise", "noise_nt", type=float, help="Noise of a component, nT, where it is known."),
+        click.option("--gyro", help="Columns of the angular rate, wx,wy,wz: they tell how the sensor is mounted."),
+        click.option("--gyro-unit", type=click.Choice(GYRO_UNITS), help="Unit of the gyros.  [default: deg/s]"),
         click.option("--bootstrap", type=int, help="Replicates of the block bootstrap.  [default: 0]"),
         click.option("--seed", type=int, help="Seed of the bootstrap.  [default: 0]"),
     ])  # fmt: skip
@@ -265,6 +268,8 @@ def _options(asked: Mapping[str, object]) -> CalibrationOptions:
     regressors = given.get("regressors")
     if isinstance(regressors, str) and regressors != "auto":
         given["regressors"] = tuple(name.strip() for name in regressors.split(",") if name.strip())
+    if isinstance(gyro := given.get("gyro"), str):
+        given["gyro"] = tuple(name.strip() for name in gyro.split(",") if name.strip())
     try:
         return CalibrationOptions.from_dict(given)
     except OptionError as error:

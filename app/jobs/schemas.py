@@ -12,6 +12,13 @@ Identifier = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{32}$")]
 JobState = Literal["queued", "running", "succeeded", "failed", "cancelled"]
 
 
+class GyroBody(Body):
+    """The session's columns of angular rate, one an axis, and their unit."""
+
+    columns: tuple[str, str, str]
+    unit: Literal["deg/s", "rad/s"] = "deg/s"
+
+
 class CalibrationOptionsBody(Body):
     """Options of a calibration; what is left out has the default of `magcal calibrate`."""
 
@@ -26,6 +33,7 @@ class CalibrationOptionsBody(Body):
     robust: Literal["auto", "none", "huber", "soft_l1", "cauchy", "tukey"] | None = None
     noise_model: Literal["none", "white"] | None = None
     noise_nt: float | None = Field(None, gt=0, description="Unset: the magnetometer's.")
+    gyro: GyroBody | None = None
     max_orbit_age_days: float | None = Field(None, ge=0, le=36525)
     bootstrap: int | None = Field(None, ge=0, le=10_000)
     seed: int | None = Field(None, ge=0)
@@ -33,8 +41,9 @@ class CalibrationOptionsBody(Body):
     @property
     def options(self) -> dict[str, object]:
         """The options that were given, under their names."""
-        names = set(CalibrationOptionsBody.model_fields)
-        return {name: value for name, value in self.model_dump(include=names).items() if value is not None}
+        names = set(CalibrationOptionsBody.model_fields) - {"gyro"}
+        given = {name: value for name, value in self.model_dump(include=names).items() if value is not None}
+        return given if self.gyro is None else {**given, "gyro": self.gyro.columns, "gyro_unit": self.gyro.unit}
 
 
 class JobBody(Body):

@@ -23,6 +23,7 @@ from magcal_core.calibration.steps import steps_of
 from magcal_core.calibration.time_offset import with_rates
 from magcal_core.errors import OrbitMissingError
 from magcal_core.estimation.estimate import Estimate, still
+from magcal_core.estimation.gyros import gyros_of, mounting_by_gyros
 from magcal_core.estimation.judging import Judged, source_of_reference
 from magcal_core.regressor_columns import is_of_scale
 from magcal_core.residual_table import residual_table
@@ -70,7 +71,7 @@ def calibration_of(
 
 def _extras(estimate: Estimate, judged: Judged, diagnosis: Diagnosis | None) -> dict[str, object]:
     """Return what the record carries beside its own fields."""
-    fit, judgement = estimate.fit, judged.judgement
+    fit, judgement, gyros = estimate.fit, judged.judgement, gyros_of(estimate)
     extras: dict[str, object] = {
         **fit.extras,
         **extras_of(judgement, fit.parameters, len(estimate.observations)),
@@ -80,12 +81,14 @@ def _extras(estimate: Estimate, judged: Judged, diagnosis: Diagnosis | None) -> 
         "diagnosis": None if diagnosis is None else diagnosis.to_dict(),
         "suspicions": [one.to_dict() for one in judged.suspected],
         "error_budget": _budget(estimate, judgement),
-        "mounting": mounting_of(_oriented(estimate), fit.parameters).to_dict(),
+        "mounting": mounting_by_gyros(estimate, mounting_of(_oriented(estimate), fit.parameters), gyros).to_dict(),
     }
     if estimate.tried_clock is not None:
         extras["time_offset"] = estimate.tried_clock.to_dict()
     if estimate.ablation:
         extras["ablation"] = [row.to_dict() for row in estimate.ablation]
+    if gyros is not None:
+        extras["gyro"] = gyros.to_dict()
     if estimate.candidates:
         extras["regressor_candidates"] = [one.to_dict() for one in estimate.candidates]
     return {**extras, **_resampled(estimate, judgement)}

@@ -24,8 +24,8 @@ from magcal_core.calibration.terms.regressor_candidates import (
 from magcal_core.errors import EstimationError
 from magcal_core.estimation.clock import with_clock
 from magcal_core.estimation.estimate import Estimate, Prepared, still
+from magcal_core.estimation.inertial_field import inertial_field_nt
 from magcal_core.estimation.start_and_loss import started
-from magcal_core.orbit.frames import gcrf_to_itrf_matrix
 from magcal_core.regressor_columns import lag_of, lagged_name, response_of, source_of
 
 Floats = NDArray[np.float64]
@@ -77,21 +77,12 @@ def candidates_of(prepared: Prepared, names: Sequence[str]) -> tuple[RegressorCa
     for vectors in (samples.b_ref_gcrf_nt, samples.b_ref_base_nt):
         if vectors is not None and np.isfinite(vectors[usable]).all():
             references.append(vectors[usable])
-    if samples.b_ref_gcrf_nt is None and samples.r_itrf_km is not None:
-        references.append(_inertial_nt(prepared))
+    inertial_nt = inertial_field_nt(prepared.referenced, usable) if samples.b_ref_gcrf_nt is None else None
+    if inertial_nt is not None and np.isfinite(inertial_nt).all():
+        references.append(inertial_nt)
     beside = FieldBeside(prepared.observations.t_s, prepared.observations.h_nt, references)
     columns = {name: np.asarray(samples.housekeeping[name], np.float64)[usable] for name in names}
     return regressor_candidates(columns, beside)
-
-
-def _inertial_nt(prepared: Prepared) -> Floats:
-    """Return the field in GCRF at the positions of the usable samples, shape (n, 3), nT."""
-    samples, usable = prepared.referenced.samples, prepared.usable
-    if samples.r_itrf_km is None:
-        return np.zeros((int(np.count_nonzero(usable)), 3))
-    t_utc, r_km = samples.t_utc[usable], samples.r_itrf_km[usable]
-    b_nt = prepared.referenced.field.field_itrf_nt(t_utc, r_km)
-    return np.einsum("nji,nj->ni", gcrf_to_itrf_matrix(t_utc), b_nt)
 
 
 def _named_candidates(prepared: Prepared) -> tuple[RegressorCandidate, ...]:

@@ -107,7 +107,6 @@ def test_rows_axes_and_unit_are_told_without_any_scan(flown):
             "sensor_constant": [
                 np.tile(h[0], (len(h), 1)),
                 h[0] + 40.0 * one.rng.normal(size=h.shape),
-                np.where(np.arange(len(h))[:, None] < 0.7 * len(h), 0.0, h),
             ],
             "unit": [100.0 * h, 1e-3 * h],
         }
