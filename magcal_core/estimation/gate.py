@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from magcal_core.calibration.scalar import require_observable_fit
+from magcal_core.calibration.estimators.scalar_gate import require_observable_fit
 from magcal_core.estimation.estimate import Estimate
 
 

@@ -129,7 +129,7 @@ class _Settling:
         three_of = {name: three for three in triples(sorted(plain)) for name in three}
         for name in names:
             source, lag = lag_of(name)
-            sources = three_of.get(source, (source,))
+            sources: tuple[str, ...] = three_of.get(source) or (source,)
             if all(sources != known for known, _ in groups):
                 groups.append((sources, lag))
         taken: tuple[str, ...] = ()
@@ -192,7 +192,7 @@ class _Settling:
         left = own - normal[:9, others] @ np.linalg.pinv(normal[np.ix_(others, others)]) @ normal[others, :9]
         size = np.sqrt(np.diag(own))
         least, before = (float(np.linalg.eigvalsh(one / np.outer(size, size))[0]) for one in (left, own))
-        return np.sqrt(max(least, 0.0) / max(before, 1e-300)) >= INDEX_KEPT
+        return bool(np.sqrt(max(least, 0.0) / max(before, 1e-300)) >= INDEX_KEPT)
 
 
 def _falls(before: Floats, after: Floats, gain: float) -> bool:

@@ -41,8 +41,10 @@ _MOST_WINDOWS: Final = 64
 _FEWEST: Final = 10
 _FEWEST_AT_START: Final = 8
 _BREAK: Final = 2.5
-_ROUNDS: Final = 25
-_STILL: Final = 1e-7
+_ROUNDS: Final = 15
+_STILL: Final = 1e-6
+_ROUNDS_ON_THE_WAY: Final = 4
+_SMALL_RAD: Final = 1e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,8 +119,15 @@ class _Windows:
 
     def residuals(self, rotation: Floats, bias: Floats) -> Floats:
         """Return x - s R F C_0 B over the field, shape (n, 3), zero where a reading does not count."""
+        return self.seen(self.turns(bias), rotation)
+
+    def turns(self, bias: Floats) -> Floats:
+        """Return F of every sample, shape (n, 3, 3), with the gyros' bias, rad/s, taken off."""
+        return np.asarray(_turns(self.session.t_s, self.session.rate_rad_s - bias, self.firsts))
+
+    def seen(self, turned: Floats, rotation: Floats) -> Floats:
+        """Return the residuals, shape (n, 3), where F is known already."""
         s = self.session
-        turned = _turns(s.t_s, s.rate_rad_s - bias, self.firsts)
         own = self.sign * np.einsum("nji,nj->ni", turned, s.x_nt @ rotation)
         outer = (s.weights > 0)[:, None, None] * own[:, :, None] * s.b_nt[:, None, :]
         u, _, v = np.linalg.svd(np.add.reduceat(outer, self.firsts, axis=0))
@@ -127,7 +136,7 @@ class _Windows:
         first = np.repeat(u @ v, np.diff(np.append(self.firsts, len(s.t_s))), axis=0)
         inside = np.einsum("njk,nk->nj", turned, np.einsum("nkl,nl->nk", first, s.b_nt))
         model = self.sign * inside @ rotation.T
-        return (s.weights > 0)[:, None] * (s.x_nt - model) / self.scale_nt
+        return np.asarray((s.weights > 0)[:, None] * (s.x_nt - model) / self.scale_nt)
 
     def cost(self, rotation: Floats, bias: Floats) -> float:
         r = self.residuals(rotation, bias)
@@ -135,15 +144,13 @@ class _Windows:
 
     def derivatives(self, rotation: Floats, bias: Floats, window_s: float) -> Floats:
         """Return the derivative of the residuals by a turn of R, rad, and by the bias, rad/s, shape (6, n, 3)."""
-        found = []
-        for i in range(6):
-            step = 1e-5 if i < 3 else 1e-4 / window_s
-            ends = []
-            for way in (step, -step):
-                move = way * np.eye(3)[i % 3]
-                at = (_turned(rotation, move), bias) if i < 3 else (rotation, bias + move)
-                ends.append(self.residuals(*at))
-            found.append((ends[0] - ends[1]) / (2.0 * step))
+        turned, found = self.turns(bias), []
+        here = self.seen(turned, rotation)
+        for axis in np.eye(3):
+            found.append((self.seen(turned, _turned(rotation, _SMALL_RAD * axis)) - here) / _SMALL_RAD)
+        step = _SMALL_RAD / window_s
+        for axis in np.eye(3):
+            found.append((self.residuals(rotation, bias + step * axis) - here) / step)
         return np.array(found)
 
     def refined(self, start: _State, window_s: float, rounds: int = _ROUNDS) -> _State:
@@ -260,7 +267,7 @@ def gyro_mounting(session: GyroSession) -> GyroMounting:
 def _window_s(covered_s: float, speed_rad_s: float, session: GyroSession) -> float:
     step_s = float(np.median(np.diff(session.t_s)))
     slow_s = min(np.deg2rad(TURN_DEG) / max(speed_rad_s, 1e-9), SLOW_WINDOW_S)
-    return max(min(covered_s / 8.0, WINDOW_S), slow_s, (_FEWEST - 1) * step_s)
+    return float(max(min(covered_s / 8.0, WINDOW_S), slow_s, (_FEWEST - 1) * step_s))
 
 
 def _stretches(t_s: Floats) -> list[tuple[int, int]]:
@@ -302,13 +309,14 @@ def _best(session: GyroSession, stretches: Sequence[tuple[int, int]], window_s: 
         return []
     starts = [_State(turn, np.zeros(3), windows.cost(turn, np.zeros(3))) for turn in cube_turns()]
     starts.sort(key=lambda one: one.cost)
-    states = _distinct([windows.refined(one, length_s, rounds=10) for one in starts[:6]])[:3]
+    states = _distinct([windows.refined(one, length_s, 2 * _ROUNDS_ON_THE_WAY) for one in starts[:6]])[:3]
     while length_s < window_s:
         length_s = min(2.0 * length_s, window_s)
         windows = _windows(session, stretches, length_s, sign, _FEWEST, _MOST_WINDOWS)
         if not len(windows.firsts):
             return []
-        states = _distinct([windows.refined(one, length_s) for one in states])
+        rounds = _ROUNDS if length_s >= window_s else _ROUNDS_ON_THE_WAY
+        states = _distinct([windows.refined(one, length_s, rounds) for one in states])
     return states
 
 

@@ -89,7 +89,8 @@ def other_clocks(rows: Rows, track: Track) -> list[Candidate]:
             + (u + 1) * u * (u - 1) / 6 * beyond
         )
 
-    offsets_s = _GRID_S * np.arange(-round(DAY_S / _GRID_S), round(DAY_S / _GRID_S) + 1)
+    steps = round(DAY_S / _GRID_S)
+    offsets_s = np.asarray(_GRID_S * np.arange(-steps, steps + 1), np.float64)
     scores = _scored(rows, offsets_s, field_nt)
     found = []
     for offset_s in _minima(offsets_s, scores):
