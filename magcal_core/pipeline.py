@@ -9,7 +9,7 @@ from magcal_core.calibration.monitoring import ActiveSet
 from magcal_core.calibration.result import Calibration
 from magcal_core.errors import EstimationError, FrameError, UnitsError
 from magcal_core.estimation.clock import with_clock
-from magcal_core.estimation.diagnosing import diagnosed, refused
+from magcal_core.estimation.diagnosing import diagnosed, refused, with_cause
 from magcal_core.estimation.estimate import Estimate, Prepared
 from magcal_core.estimation.judging import judged
 from magcal_core.estimation.noise import with_noise
@@ -81,7 +81,7 @@ def calibrate(
     tell(0.9)
     diagnosis = diagnosed(estimate, judgement, candidates)
     tell(0.95)
-    calibration = calibration_of(estimate, judgement, diagnosis, with_moments=with_moments)
+    calibration = calibration_of(estimate, with_cause(judgement, diagnosis), diagnosis, with_moments=with_moments)
     tell(1.0)
     return calibration
 

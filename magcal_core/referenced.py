@@ -17,7 +17,7 @@ from magcal_core.moving_reference import MovingReference
 from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
 from magcal_core.reference import TELEMETRY_POSITION, ReferenceReport, finite_rows, with_reference
-from magcal_core.regressor_columns import source_of
+from magcal_core.regressor_columns import OF_SCALE, TIME_REGRESSOR, lag_of, lagged, source_of
 from magcal_core.samples import SampleFlag, Samples, Times
 from magcal_core.telemetry.screen import screened, unscreened
 
@@ -110,10 +110,7 @@ class Referenced:
             usable &= np.isfinite(samples.b_ref_magnitude_nt)
         if is_vector and samples.b_ref_base_nt is not None:
             usable &= finite_rows(samples.b_ref_base_nt)
-        for source in map(source_of, regressors):
-            if source in samples.housekeeping:
-                usable &= np.isfinite(samples.housekeeping[source])
-        return usable
+        return usable & has_columns(samples, regressors)
 
     def observations(self, usable: NDArray[np.bool_], regressors: Sequence[str]) -> Observations:
         """Return the ``usable`` samples as an estimator sees them; without attitude where some of them have none."""
@@ -135,6 +132,22 @@ class Referenced:
         """Return the same, made ready to be asked for the reference at shifted times again and again."""
         used = _observed(self.samples).take(usable)
         return MovableObservations.of(used, regressors, self.orbits, self.field, uses=_USES)
+
+
+def has_columns(samples: Samples, regressors: Sequence[str]) -> NDArray[np.bool_]:
+    """Return which samples, in time order, have a value of every column that ``regressors`` name, at its lag."""
+    has = np.ones(len(samples), dtype=bool)
+    t_s: Floats | None = None
+    for name in regressors:
+        source = source_of(name)
+        if source not in samples.housekeeping and source != TIME_REGRESSOR:
+            continue
+        lag = lag_of(name.removesuffix(OF_SCALE))[1]
+        if lag and t_s is None and len(samples):
+            t_s = (samples.t_utc - samples.t_utc[0]) / np.timedelta64(1, "ns") * 1e-9
+        column = np.asarray(samples.housekeeping.get(source, np.zeros(len(samples))), np.float64)
+        has &= np.isfinite(column if t_s is None else lagged(column, lag, t_s))
+    return has
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from magcal_core.calibration.fit import Fit, FittedReadings, Observations
 from magcal_core.calibration.flags import jumps, saturated, spikes
 from magcal_core.calibration.result import ResidualTable
-from magcal_core.regressor_columns import TIME_REGRESSOR, regressor_of, source_of
+from magcal_core.regressor_columns import TIME_REGRESSOR, regressor_of
 from magcal_core.samples import SampleFlag, Samples
 
 Floats = NDArray[np.float64]
@@ -61,7 +61,4 @@ def _columns(samples: Samples, usable: Mask, fit: Fit) -> dict[str, Floats]:
     """Return the regressors of every sample: NaN where one has none."""
     t_s = (samples.t_utc - samples.t_utc[usable][0]) / np.timedelta64(1, "ns") * 1e-9
     columns = {TIME_REGRESSOR: t_s / 3600.0, **samples.housekeeping}
-    return {
-        name: regressor_of(name, np.asarray(columns[source_of(name)], np.float64), samples.h_nt)
-        for name in fit.parameters.regressors
-    }
+    return {name: regressor_of(name, columns, samples.h_nt, t_s) for name in fit.parameters.regressors}

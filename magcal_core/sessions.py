@@ -16,8 +16,8 @@ from magcal_core.field.models import field_model
 from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
 from magcal_core.reference import with_reference
-from magcal_core.referenced import Referenced, in_time_order, oriented
-from magcal_core.regressor_columns import is_of_scale, missing_columns, regressor_of, source_of
+from magcal_core.referenced import Referenced, has_columns, in_time_order, oriented
+from magcal_core.regressor_columns import is_of_scale, missing_columns, regressor_of
 from magcal_core.samples import Samples
 
 
@@ -76,9 +76,7 @@ def monitor(
         in_time_order(samples), orbits, field_model(name), time_offset_s=offset_s, max_orbit_age_days=max_orbit_age_days
     )
     usable = filled.is_used & np.isfinite(_reference_of(filled, is_vector=active.is_vector))
-    for column in map(source_of, active.parameters.regressors):
-        if column in filled.housekeeping:
-            usable &= np.isfinite(filled.housekeeping[column])
+    usable &= has_columns(filled, tuple(active.parameters.regressors))
     columns = list(active.parameters.regressors)
     observations = Observations.of(oriented(filled, usable), columns, usable.astype(np.float64))
     return judge_session(observations, active)
@@ -113,9 +111,7 @@ def _corrected(samples: Samples, parameters: Parameters) -> CorrectedReadings:
     if missing:
         raise OptionError(f"no housekeeping column {missing[0]!r}, which the parameters need")
     n = len(used)
-    columns = {
-        name: regressor_of(name, np.asarray(used.housekeeping[source_of(name)], np.float64), used.h_nt)
-        for name in parameters.regressors
-    }
+    t_s = (used.t_utc - used.t_utc[0]) / np.timedelta64(1, "ns") * 1e-9 if n else np.zeros(0)
+    columns = {name: regressor_of(name, used.housekeeping, used.h_nt, t_s) for name in parameters.regressors}
     plain = Observations(np.zeros(n), used.h_nt, np.ones(n), None, np.ones(n), columns)
     return CorrectedReadings(used.t_utc, corrected_nt(plain, parameters))

@@ -33,7 +33,8 @@ def calibrate(work: object, report: Report) -> Outcome:
     options = CalibrationOptions.from_dict(work.options)
     together = samples_of([chunk for chunks in work.columns for chunk in chunks])
     active = None if work.active is None else ActiveSet.from_record(work.active)
-    found = run(together, orbits, options, active=active, with_moments=True, progress=report)
+    candidates = [orbit_of(content) for content in work.candidates]
+    found = run(together, orbits, options, active=active, candidates=candidates, with_moments=True, progress=report)
     document = found.to_dict()
     compared = document.get("agreement")
     if isinstance(compared, dict) and work.active is not None:

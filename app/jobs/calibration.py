@@ -34,6 +34,8 @@ from magcal_core.options import CalibrationOptions
 POSITIONED: Final = frozenset({"ref_b", "ref_bx", "ref_eci_x", "x_km"})
 """Columns that make an orbit unnecessary."""
 DEFAULT_AGE_DAYS: Final = 14.0
+CANDIDATES: Final = "candidate_orbits"
+"""Where a request names orbits that a diagnosis tries; without it, all near ones of the satellite are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +49,7 @@ class CalibrationWork:
     options: Mapping[str, object]
     inputs: Sequence[Mapping[str, object]]
     active: Mapping[str, object] | None = None
+    candidates: Sequence[str] = ()
 
 
 class CalibrationKind:
@@ -73,6 +76,10 @@ class CalibrationKind:
         magnetometer = SatelliteRepository(session, caller).magnetometer(satellite_id, magnetometer_id)
         options = CalibrationOptions.from_dict({"noise_nt": magnetometer.noise_nt} | body.options).to_dict()
         lock = f"{satellite_id}/{magnetometer_id}"
+        if body.candidate_orbits is not None:
+            # Each must be there, and in the caller's reach.
+            orbits = OrbitRepository(session, caller, satellite_id)
+            options[CANDIDATES] = [orbits.get(one).id for one in dict.fromkeys(body.candidate_orbits)]
         return Admission(options, satellite_id, magnetometer_id, session_ids, lock)
 
     def check(self, session: Session, admission: Admission) -> None:
@@ -101,7 +108,8 @@ class CalibrationKind:
         return CalibrationWork(
             columns=columns,
             orbits=[(row.id, row.content) for row in near],
-            options=claim.request,
+            options={name: value for name, value in claim.request.items() if name != CANDIDATES},
+            candidates=[orbits.get(one).content for one in _candidates(claim.request)],
             inputs=[{"session_id": row.id, "sha256": identity(sessions.chunks(row.id))} for row in rows],
             active=_in_force(session, claim, begin),
         )
@@ -136,6 +144,11 @@ def _in_force(session: Session, claim: Claim, begin: datetime) -> dict[str, obje
     """
     found = ParameterSetRepository(session, SYSTEM).in_force(str(claim.satellite_id), str(claim.magnetometer_id))
     return None if found is None or found.data_from >= begin else {**found.record, "id": found.id}
+
+
+def _candidates(request: Mapping[str, object]) -> list[str]:
+    named = request.get(CANDIDATES)
+    return [str(one) for one in named] if isinstance(named, list) else []
 
 
 def _limit_days(options: Mapping[str, object]) -> float:

@@ -12,6 +12,13 @@ Identifier = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{32}$")]
 JobState = Literal["queued", "running", "succeeded", "failed", "cancelled"]
 
 
+class GyroBody(Body):
+    """The session's columns of angular rate, one an axis, and their unit."""
+
+    columns: tuple[str, str, str]
+    unit: Literal["deg/s", "rad/s"] = "deg/s"
+
+
 class CalibrationOptionsBody(Body):
     """Options of a calibration; what is left out has the default of `magcal calibrate`."""
 
@@ -22,10 +29,12 @@ class CalibrationOptionsBody(Body):
     time_offset: Literal["auto", "none", "estimate"] | None = None
     time_drift: bool | None = None
     regressors: list[str] | Literal["auto"] | None = None
+    response: Literal["none", "auto"] | None = None
     robust: Literal["auto", "none", "huber", "soft_l1", "cauchy", "tukey"] | None = None
     noise_model: Literal["auto", "none", "white"] | None = None
     noise_nt: float | None = Field(None, gt=0, description="Unset: the magnetometer's.")
     locked_terms: Literal["auto", "none"] | None = None
+    gyro: GyroBody | None = None
     max_orbit_age_days: float | None = Field(None, ge=0, le=36525)
     bootstrap: int | None = Field(None, ge=0, le=10_000)
     seed: int | None = Field(None, ge=0)
@@ -33,8 +42,9 @@ class CalibrationOptionsBody(Body):
     @property
     def options(self) -> dict[str, object]:
         """The options that were given, under their names."""
-        names = set(CalibrationOptionsBody.model_fields)
-        return {name: value for name, value in self.model_dump(include=names).items() if value is not None}
+        names = set(CalibrationOptionsBody.model_fields) - {"gyro"}
+        given = {name: value for name, value in self.model_dump(include=names).items() if value is not None}
+        return given if self.gyro is None else {**given, "gyro": self.gyro.columns, "gyro_unit": self.gyro.unit}
 
 
 class JobBody(Body):
@@ -49,6 +59,11 @@ class CalibrationBody(JobBody, CalibrationOptionsBody):
 
     kind: Literal["calibration"]
     session_ids: list[Identifier] = Field(min_length=1, max_length=1000)
+    candidate_orbits: list[Identifier] | None = Field(
+        None,
+        max_length=1000,
+        description="Orbits that a diagnosis tries where the calibration fails. Unset: all near ones in reach.",
+    )
 
 
 class ReprocessingBody(CalibrationOptionsBody):

@@ -7,8 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_core.errors import Fault, TelemetryFormatError
-from magcal_core.regressor_columns import is_of_scale, missing_columns, source_of
+from magcal_core.errors import Fault, OptionError, TelemetryFormatError
+from magcal_core.regressor_columns import (
+    OF_SCALE,
+    is_of_scale,
+    is_response,
+    lag_of,
+    lagged,
+    missing_columns,
+    regressor_of,
+    source_of,
+)
 from magcal_core.samples import Floats, Samples
 from magcal_core.sensor import SensorModel, lower_triangular_gauge
 
@@ -41,7 +50,16 @@ class Correction:
         return replace(samples, h_nt=along_axes_nt @ self.rotation)
 
     def unapply(self, samples: Samples) -> Samples:
-        """Return ``samples``, whose readings are corrected, with raw readings, nT."""
+        """Return ``samples``, whose readings are corrected, with raw readings, nT.
+
+        Raises
+        ------
+        OptionError
+            The parameter set has a response of the reading itself, which cannot be taken back from corrected ones.
+        """
+        responses = [name for name in self.regressors if is_response(name)]
+        if responses:
+            raise OptionError(f"the parameter set has the response {responses[0]}, which cannot be taken back")
         drift_nt, share = self._terms(samples)
         return replace(samples, h_nt=(self.sensor.apply(samples.h_nt @ self.rotation.T) + drift_nt) / (1.0 - share))
 
@@ -52,9 +70,14 @@ class Correction:
             faults = [Fault(f"column {name}", "missing; the parameter set has it as a regressor") for name in missing]
             raise TelemetryFormatError("the telemetry lacks a regressor of the parameter set", faults)
         drift_nt, share = np.zeros_like(samples.h_nt), np.zeros_like(samples.h_nt)
+        t_s = (samples.t_utc - samples.t_utc[:1]) / np.timedelta64(1, "ns") * 1e-9
         for name, change in self.regressors.items():
+            if is_response(name):
+                drift_nt += regressor_of(name, samples.housekeeping, samples.h_nt, t_s) * change
+                continue
             added = share if is_of_scale(name) else drift_nt
-            added += samples.housekeeping[source_of(name)][:, None] * change
+            column = np.asarray(samples.housekeeping[source_of(name)], np.float64)
+            added += lagged(column, lag_of(name.removesuffix(OF_SCALE))[1], t_s)[:, None] * change
         return drift_nt, share
 
 

@@ -65,9 +65,10 @@ def advice(index: float, motion: SphereMotion, magnitudes_nt: Floats, duration_s
     variation = float(magnitudes_nt.std() / magnitudes_nt.mean())
     if index < WEAK_BELOW and variation < 0.1:
         found.append(f"take in high and low latitudes: |B| varied by {variation:.0%} only")
-    if index < WEAK_BELOW:
+    if index < WEAK_BELOW and not found:
+        # Only where the motion lacks nothing is it the noise that is in the way.
         readings = max(2, round((WEAK_BELOW / max(index, 0.1)) ** 2))
-        found.append(f"or average {readings} readings into one: the noise is what is in the way")
+        found.append(f"average {readings} readings into one: the noise is what is in the way")
     if duration_s < SHORT_S:
         found.append(
             f"measure for an orbit or more, or in several sessions: {duration_s / 60.0:.2g} minutes give the bias of "

@@ -8,9 +8,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.calibration.corrections import correct
 from magcal_core.calibration.descent import descend
 from magcal_core.calibration.estimators.robust_start import scale_of
+from magcal_core.calibration.estimators.scalar_gate import (
+    require_ellipsoid,
+    require_observable,
+    require_observable_fit,
+    require_samples,
+)
 from magcal_core.calibration.fit import (
     BlockScores,
     Fit,
@@ -23,7 +28,6 @@ from magcal_core.calibration.fit import (
 )
 from magcal_core.calibration.jacobians import (
     Standardised,
-    lower_of_theta,
     parameters_from_rows,
     rows_from_theta,
     rows_jacobian,
@@ -37,11 +41,6 @@ from magcal_core.calibration.minimise import Minimum
 from magcal_core.calibration.observability import (
     ENOUGH,
     PARAMETER_NAMES,
-    SHORT_NAMES,
-    UNOBSERVABLE_BELOW,
-    condition_number,
-    scalar_information,
-    taking_part,
 )
 from magcal_core.calibration.result import Parameters
 from magcal_core.calibration.weights import GAUSSIAN_MAD, robust_sigma, weights_and_slopes
@@ -49,8 +48,6 @@ from magcal_core.errors import NotObservableError
 
 Floats = NDArray[np.float64]
 
-MIN_SAMPLES: Final = 10
-"""Nine parameters and one residual: with fewer no error can be estimated."""
 _PLAIN: Final = -1.0
 _REACH: Final = 0.02
 """How far from the scale before, relative to it, the next one is looked for first."""
@@ -154,7 +151,7 @@ class ScalarFit:
             solution = _begun(few, begin.parameters, begin.scale_nt, settings, still)
         else:
             plain = _plain(few, settings)
-            _require_ellipsoid(plain.minimum.theta)
+            require_ellipsoid(plain.minimum.theta)
             if settings.is_gated:
                 require_observable(few.observations, plain.minimum.theta, plain.minimum.normal)
             solution = _refined(few, plain, settings, still)
@@ -183,73 +180,6 @@ class ScalarFit:
         theta = _right_handed(task, found).theta
         matrix, bias_nt, slopes_nt = rows_from_theta(theta, len(task.z.names))
         return parameters_from_rows(matrix, bias_nt, slopes_nt, task.z)
-
-
-def require_samples(observations: Observations) -> None:
-    """Refuse fewer samples than the nine parameters and one residual need.
-
-    Raises
-    ------
-    NotObservableError
-    """
-    count = int(np.count_nonzero(observations.weights > 0))
-    wanted = MIN_SAMPLES + 3 * len(observations.regressors) + observations.rate_nt_s.shape[1]
-    if count < wanted:
-        raise NotObservableError(
-            f"{count} usable samples, the fit needs at least {wanted}: none of {', '.join(SHORT_NAMES)} can be told; "
-            "condition number infinite",
-            PARAMETER_NAMES,
-        )
-
-
-def require_observable(observations: Observations, theta: Floats, normal: Floats) -> None:
-    """Refuse samples that do not excite all nine parameters above the noise.
-
-    Raises
-    ------
-    NotObservableError
-        `ScalarInformation` is below `UNOBSERVABLE_BELOW`, by either index.
-    """
-    lower = lower_of_theta(theta)
-    _require_ellipsoid(theta)
-    matrix, bias_nt, _ = rows_from_theta(theta, 0)
-    x_nt, used = correct(observations.h_nt, bias_nt, lower), observations.weights > 0
-    geometric_nt, none = np.empty(len(used)), np.zeros((len(used), 0))
-    residuals(observations.h_nt, observations.b_nt, none, none, theta[:9], 0.0, geometric_nt)
-    dof = max(int(np.count_nonzero(used)) - 9, 1)
-    noise_nt = robust_sigma(geometric_nt[used]) * np.sqrt((dof + 9) / dof)
-    information = scalar_information(x_nt[used], matrix, noise_nt)
-    if information.is_observable:
-        return
-    named = taking_part(information.weak[information.ratios < UNOBSERVABLE_BELOW]) or tuple(range(9))
-    letters = ", ".join(SHORT_NAMES[i] for i in named)
-    raise NotObservableError(
-        f"the samples do not determine {letters}: observability index {information.index:.2g}, needed "
-        f"{UNOBSERVABLE_BELOW:g}; condition number {condition_number(normal[:9, :9]):.3g}",
-        [PARAMETER_NAMES[i] for i in named],
-    )
-
-
-def require_observable_fit(observations: Observations, fit: Fit) -> None:
-    """Refuse a fit whose rows with weight do not excite all nine parameters above their noise.
-
-    Raises
-    ------
-    NotObservableError
-        As `require_observable` says.
-    """
-    step = max(1, len(observations) // ENOUGH)
-    plain = replace(observations, weights=fit.weights, regressors={}, rate_nt_s=np.zeros((0, 0)), rate_base_nt_s=None)
-    none = Standardised.of((), (), len(observations))
-    at = replace(fit.parameters, regressors={}, time_offset_s=None)
-    normal = fit.blocks.normals.sum(axis=0)
-    few = plain.take(slice(None, None, step)) if step > 1 else plain
-    require_observable(few, theta_of_parameters(at, none), normal)
-
-
-def _require_ellipsoid(theta: Floats) -> None:
-    if not np.isfinite(rows_from_theta(theta, 0)[0]).all():
-        raise NotObservableError("no ellipsoid fits the readings: none of the parameters can be told", PARAMETER_NAMES)
 
 
 def _begun(task: _Task, at: Parameters, scale_nt: float, settings: FitSettings, still: float) -> _Solution:

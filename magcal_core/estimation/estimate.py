@@ -17,6 +17,7 @@ from magcal_core.calibration.terms.coarse_clock import CoarseClock
 from magcal_core.calibration.terms.full_matrix import FullMatrix
 from magcal_core.calibration.terms.locked import LockedTerms
 from magcal_core.calibration.terms.locked_clock import LockedClock
+from magcal_core.calibration.terms.regressor_candidates import RegressorCandidate, expanded
 from magcal_core.calibration.terms.trimmed_clock import TrimmedClock
 from magcal_core.calibration.time_offset import ClockFit
 from magcal_core.calibration.uncertainty import HonestCovariance
@@ -53,7 +54,8 @@ class Prepared:
             An option does not suit the method, or the samples cannot be used.
         """
         estimator: Estimator = WithScaleTerms(ESTIMATORS[options.method])
-        names = () if isinstance(options.regressors, str) else options.regressors
+        keeping = tuple(referenced.samples.housekeeping)
+        names = () if isinstance(options.regressors, str) else expanded(options.regressors, keeping)
         if names and not estimator.takes_regressors:
             raise OptionError(f"{estimator.name} takes no regressors; scalar and vector do")
         noise_model = "none" if options.noise_model == "auto" else options.noise_model
@@ -110,6 +112,8 @@ class Estimate:
         The scan of the clock, where one was made.
     clock, tried_clock : ClockFit or LockedClock, optional
         The clock where its offset is part of the result, and the one that was looked for.
+    ablation, candidates
+        Models that were tried, and columns that might have been regressors.
     far_clock : CoarseClock, optional
         A clock that is minutes or hours off, where one was looked for.
     trust : Trust, optional
@@ -126,6 +130,7 @@ class Estimate:
     far_clock: CoarseClock | None = None
     trust: Trust | None = None
     ablation: tuple[Ablation, ...] = field(default=())
+    candidates: tuple[RegressorCandidate, ...] = field(default=())
 
     @property
     def estimator(self) -> Estimator:

@@ -24,6 +24,7 @@ from magcal_core.calibration.terms.locked_clock import LockedClock
 from magcal_core.calibration.time_offset import AUTO_AGE_DAYS, ClockFit, with_rates
 from magcal_core.errors import OrbitMissingError
 from magcal_core.estimation.estimate import Estimate, still
+from magcal_core.estimation.gyros import gyros_of, mounting_by_gyros
 from magcal_core.estimation.judging import Judged, source_of_reference
 from magcal_core.regressor_columns import is_of_scale
 from magcal_core.residual_table import residual_table
@@ -72,7 +73,7 @@ def calibration_of(
 
 def _extras(estimate: Estimate, judged: Judged, diagnosis: Diagnosis | None) -> dict[str, object]:
     """Return what the record carries beside its own fields."""
-    fit, judgement = estimate.fit, judged.judgement
+    fit, judgement, gyros = estimate.fit, judged.judgement, gyros_of(estimate)
     extras: dict[str, object] = {
         **fit.extras,
         **extras_of(judgement, fit.parameters, len(estimate.observations)),
@@ -82,7 +83,7 @@ def _extras(estimate: Estimate, judged: Judged, diagnosis: Diagnosis | None) -> 
         "diagnosis": None if diagnosis is None else diagnosis.to_dict(),
         "suspicions": [one.to_dict() for one in judged.suspected],
         "error_budget": _budget(estimate, judgement),
-        "mounting": mounting_of(_oriented(estimate), fit.parameters).to_dict(),
+        "mounting": mounting_by_gyros(estimate, mounting_of(_oriented(estimate), fit.parameters), gyros).to_dict(),
     }
     if estimate.tried_clock is not None:
         far = estimate.far_clock
@@ -94,6 +95,10 @@ def _extras(estimate: Estimate, judged: Judged, diagnosis: Diagnosis | None) -> 
     extras.update(_trust(estimate, judgement))
     if estimate.ablation:
         extras["ablation"] = [row.to_dict() for row in estimate.ablation]
+    if gyros is not None:
+        extras["gyro"] = gyros.to_dict()
+    if estimate.candidates:
+        extras["regressor_candidates"] = [one.to_dict() for one in estimate.candidates]
     return {**extras, **_resampled(estimate, judgement)}
 
 
@@ -233,6 +238,12 @@ def _warnings(estimate: Estimate, judged: Judged) -> tuple[str, ...]:
         is_vector=estimate.estimator.is_vector,
         is_noise_chosen=estimate.options.noise_model == "auto",
     )
+    if estimate.options.regressors != "auto":
+        found += [
+            f"{one.excluded}: {one.name} was asked for; auto would leave it out"
+            for one in estimate.candidates
+            if one.excluded is not None
+        ]
     clock = estimate.tried_clock
     if clock is not None and estimate.clock is None and _is_told(estimate):
         found.append(

@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
+
+_NO_FAULT: Final = frozenset({"unexplained", "bad_rows"})
+_MUCH: Final = 0.01
+"""Share of the field that a fit must leave before no number is given for another reference's sake."""
+_FAR_BETTER: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +83,21 @@ class Diagnosis:
     def cause(self) -> Finding | None:
         """The first finding, where there is one."""
         return self.findings[0] if self.findings else None
+
+    @property
+    def fault(self) -> Finding | None:
+        """The cause, where it is a fault of the input that a fit cannot mend: not bad rows, nor one without a name."""
+        return None if self.cause is None or self.cause.code in _NO_FAULT else self.cause
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether the fault is beyond doubt: the given reference leaves much, and another explains it far better."""
+        fault, share = self.fault, self.residual_share
+        if fault is None:
+            return False
+        if share is None:
+            return fault.code != "unit"
+        return share >= _MUCH and fault.ratio is not None and fault.ratio >= _FAR_BETTER
 
     def to_dict(self) -> dict[str, object]:
         """Return the diagnosis as the records have it."""

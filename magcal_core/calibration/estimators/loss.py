@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.calibration.estimators.robust_start import RobustStart, scalar_start, scale_of, vector_start
+from magcal_core.calibration.estimators.scalar_gate import require_observable_fit
 from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations
 from magcal_core.calibration.rows import whole_residuals_nt
-from magcal_core.calibration.scalar import require_observable_fit
 from magcal_core.errors import EstimationError, FrameError, NotObservableError
 
 Floats = NDArray[np.float64]
