@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 
 import numpy as np
 
-from magcal_core.calibration.fit import Observations, corrected_nt
+from magcal_core.calibration import ESTIMATORS
+from magcal_core.calibration.estimators.loss import AUTO, AUTO_LOSS, fit_under_loss
+from magcal_core.calibration.fit import FitSettings, Observations, corrected_nt
 from magcal_core.calibration.joint import DEFAULT_SHARED, JointFit, joint_fit
 from magcal_core.calibration.magnetometers import Comparison, CorrectedReadings, compare_magnetometers
 from magcal_core.calibration.monitoring import ActiveSet, SessionJudgement, judge_session
 from magcal_core.calibration.result import Parameters
-from magcal_core.errors import OptionError
+from magcal_core.errors import EstimationError, OptionError
 from magcal_core.field.models import field_model
 from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
@@ -54,7 +57,22 @@ def calibrate_jointly(
             observed.append(referenced.shifted(usable, chosen.regressors, shift_s))
         else:
             observed.append(referenced.observations(usable, chosen.regressors))
-    return joint_fit(observed, list(sessions), shared=shared, is_vector=is_vector, robust=chosen.robust)
+    robust = _shared_loss(observed, chosen.robust, is_vector=is_vector)
+    return joint_fit(observed, list(sessions), shared=shared, is_vector=is_vector, robust=robust)
+
+
+def _shared_loss(observed: Sequence[Observations], asked: str, *, is_vector: bool) -> str:
+    """Return the loss for all sessions: of ``auto`` none where every session is clean, else Tukey's."""
+    if asked != AUTO:
+        return asked
+    estimator = ESTIMATORS["vector" if is_vector else "scalar"]
+    settings = FitSettings(AUTO)
+    for session in observed:
+        # A session too short to be calibrated alone shows no bad rows alone.
+        with suppress(EstimationError):
+            if not fit_under_loss(estimator, session, settings).is_clean:
+                return AUTO_LOSS
+    return "none"
 
 
 def monitor(
