@@ -67,7 +67,10 @@ def with_regressors(estimate: Estimate) -> Estimate:
     settled = _Settling(estimate, offered).settled(choice.names)
     ablation = choice.ablation
     if settled != choice.names:
-        ablation = (*(replace(row, is_selected=False) for row in ablation), _row(estimate, offered, settled))
+        # The evidence is that of the last term that was taken, at the lag that had most of it.
+        chosen = next(row for row in ablation if row.is_selected)
+        row = replace(_row(estimate, offered, settled), evidence=chosen.evidence)
+        ablation = (*(replace(one, is_selected=False) for one in ablation), row)
     found = replace(estimate, ablation=ablation, candidates=candidates)
     return _refitted(found, settled) if settled else found
 
