@@ -9,7 +9,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.calibration.fit import Fit, Observations
+from magcal_core.calibration.estimators.robust_start import scale_of
+from magcal_core.calibration.fit import Fit, Observations, corrected_nt
+from magcal_core.calibration.observability import SIGMA_FLOOR, WEAK_BELOW
 from magcal_core.calibration.regressors import Ablation, ablation_of, choose_regressors
 from magcal_core.calibration.selection import folds_of, held_out_residuals_nt
 from magcal_core.calibration.terms.regressor_candidates import (
@@ -28,6 +30,7 @@ from magcal_core.estimation.estimate import Estimate, Prepared, still
 from magcal_core.estimation.inertial_field import inertial_field_nt
 from magcal_core.estimation.start_and_loss import started
 from magcal_core.regressor_columns import lag_of, lagged_name, response_of, source_of
+from magcal_core.sensor import inverse_lower, matrix_of_parameters
 
 Floats = NDArray[np.float64]
 
@@ -36,6 +39,8 @@ LAG_GAIN: Final = 0.01
 TERM_GAIN: Final = 0.02
 """Share by which a response, or the rest of a triple, must lower it."""
 INDEX_KEPT: Final = 0.5
+LEAST_INDEX: Final = 3.0
+_MOST: Final = 3000
 """Share of the observability index that must be left once a term is projected out."""
 
 
@@ -192,12 +197,37 @@ class _Settling:
         fit = self._fit((*taken, *more))
         if fit is None:
             return False
-        normal = fit.blocks.normals.sum(axis=0)
-        own, others = normal[:9, :9], np.arange(9, len(normal))
-        left = own - normal[:9, others] @ np.linalg.pinv(normal[np.ix_(others, others)]) @ normal[others, :9]
-        size = np.sqrt(np.diag(own))
-        least, before = (float(np.linalg.eigvalsh(one / np.outer(size, size))[0]) for one in (left, own))
-        return bool(np.sqrt(max(least, 0.0) / max(before, 1e-300)) >= INDEX_KEPT)
+        columns = _columns(self.offered, (*taken, *more))
+        before, after = (index_beside(columns, fit, names) for names in (tuple(taken), (*taken, *more)))
+        # A response is half a change of scale: what it leaves must be good by itself.
+        is_kept = after >= INDEX_KEPT * before or (set(more) <= set(RESPONSES) and after >= WEAK_BELOW)
+        return after >= LEAST_INDEX and is_kept
+
+
+def index_beside(observations: Observations, fit: Fit, names: Sequence[str]) -> float:
+    """Return the observability index with the terms ``names`` projected out of what determines the sensor.
+
+    Notes
+    -----
+    Smallest singular value per root n of [u_i u_j |x|/B, u_i], u the direction of the corrected reading x, over
+    sigma / B: as `observability.index`, after what the terms' own coefficients explain of it has been taken away.
+    """
+    few = slice(None, None, max(1, len(observations) // _MOST))
+    some, at = observations.take(few), fit.parameters
+    x_nt = corrected_nt(some.with_regressors(tuple(at.regressors)), at)
+    size = np.linalg.norm(x_nt, axis=1)
+    field_nt, u = float(np.mean(size)), x_nt / size[:, None]
+    pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
+    squares = [u[:, i] * u[:, j] * size / field_nt * (1.0 if i == j else np.sqrt(2.0)) for i, j in pairs]
+    design, root = np.column_stack([*squares, u]), np.sqrt(fit.weights[few] > 0)[:, None]
+    lower = inverse_lower(matrix_of_parameters(at.scale, np.deg2rad(at.nonorthogonality_deg)))
+    terms = [(u @ lower) * some.regressors[name].reshape(len(some), -1) for name in names]
+    design = root * design
+    if terms:
+        basis = np.linalg.qr(root * np.column_stack([one / np.abs(one).max() for one in terms]))[0]
+        design -= basis @ (basis.T @ design)
+    noise = max(scale_of(fit.residuals_nt) / field_nt, SIGMA_FLOOR)
+    return float(np.linalg.svd(design, compute_uv=False)[-1] / np.sqrt(max(float(root.sum()), 1.0)) / noise)
 
 
 def _falls(before: Floats, after: Floats, gain: float) -> bool:
