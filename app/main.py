@@ -11,40 +11,55 @@ from fastapi import APIRouter, FastAPI
 from fastapi_offline import FastAPIOffline
 from starlette.concurrency import run_in_threadpool
 
-from app import health
-from app.auth import FailureLimiter, RecentKeys, SteadyClock
-from app.conditional import Revalidation
+from app.access import key_endpoints as keys
+from app.access.authentication import FailureLimiter, RecentKeys, SteadyClock
+from app.access.idempotency import Running
+from app.access.oidc import open_issuer
 from app.dashboard import endpoints as displays
 from app.dashboard import pages
-from app.database import Database
-from app.documentation import complete
-from app.errors import install_handlers
 from app.field import endpoints as field
-from app.gate import UploadGate
-from app.head import HeadRequests
-from app.idempotency import Running
+from app.http.allowed_methods import Methods
+from app.http.entity_tags import Revalidation
+from app.http.middleware.head_requests import HeadRequests
+from app.http.middleware.request_limits import RequestLimits
+from app.http.middleware.request_log import RequestLog
+from app.http.middleware.security_headers import SecurityHeaders
+from app.http.middleware.upload_gate import UploadGate
+from app.http.openapi import complete
+from app.http.problem_handlers import install_handlers
+from app.http.receiving import Admission, sweep_incoming
 from app.jobs import endpoints as jobs
-from app.jobs.engine import Engine, open_engine
-from app.keys import endpoints as keys
-from app.limits import RequestLimits
-from app.logs import RequestLog
-from app.methods import Methods
-from app.oidc import open_issuer
+from app.jobs.engines.open_engine import Engine, open_engine
+from app.monitoring import endpoints as monitoring
+from app.operations import health
 from app.orbits import endpoints as orbits
 from app.parameter_sets import endpoints as parameter_sets
-from app.parameter_sets import pointing, refitting
-from app.parameter_sets.listing import Texts
+from app.parameter_sets import pointing, refits
+from app.parameter_sets.json_listing import Texts
 from app.satellites import endpoints as satellites
-from app.security import SecurityHeaders
 from app.sessions import endpoints as sessions
-from app.sessions.ingest import Ingest
-from app.sessions.keeping import Keeper
-from app.sessions.upload import Admission, sweep_incoming
 from app.settings import Settings
-from app.store import open_store
+from app.storage.database import Database
+from app.storage.open_store import open_store
+from app.uploads import endpoints as uploads
+from app.uploads.batching import Keeper
+from app.uploads.ingest import Ingest
 
 API: Final = "/api/v1"
-ROOMS: Final = (sessions, satellites, orbits, jobs, parameter_sets, pointing, refitting, field, keys, displays)
+ROOMS: Final = (
+    sessions,
+    uploads,
+    monitoring,
+    satellites,
+    orbits,
+    jobs,
+    parameter_sets,
+    pointing,
+    refits,
+    field,
+    keys,
+    displays,
+)
 STOP_GRACE_S: Final = 20.0
 
 log = structlog.get_logger()

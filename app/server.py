@@ -11,13 +11,14 @@ from typing import Final
 import structlog
 import uvicorn
 
-from app.database import Database
+from app.access.first_key import make_first_key
 from app.errors import UnavailableError
-from app.http1 import BoundedHttpProtocol
+from app.http.bounded_protocol import BoundedHttpProtocol
 from app.logs import configure_logs
 from app.main import create_app
-from app.migrate import make_first_key, upgrade
 from app.settings import Settings
+from app.storage.database import Database
+from app.storage.migration import upgrade
 
 BACKLOG: Final = 2048
 

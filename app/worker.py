@@ -8,12 +8,12 @@ from typing import Final
 
 import structlog
 
-from app.database import Database
-from app.jobs.engine import open_engine
+from app.jobs.engines.open_engine import open_engine
 from app.logs import configure_logs
-from app.migrate import upgrade
 from app.settings import Settings
-from app.store import open_store
+from app.storage.database import Database
+from app.storage.migration import upgrade
+from app.storage.open_store import open_store
 
 STOP_GRACE_S: Final = 20.0
 LONGEST_IDLE_S: Final = 30

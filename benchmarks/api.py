@@ -15,18 +15,18 @@ from typing import Final
 import httpx2
 import numpy as np
 
-from app.database import Database
-from app.demo.mission import SESSIONS, simulated
-from app.keys.repository import SYSTEM
-from app.parameter_sets.listing import Texts, listed, part
+from app.access.caller import SYSTEM
+from app.http.schemas import Page
+from app.parameter_sets.json_listing import Texts, listed, part
 from app.parameter_sets.repository import ParameterSetRepository
 from app.parameter_sets.schemas import ParameterSetQuery, ParameterSetRead
-from app.schemas import Page
 from app.settings import Settings
+from app.storage.database import Database
 from benchmarks.history import SATELLITE, calibrated, first_set, plant
 from benchmarks.measure import Figure, interleaved_s
 from benchmarks.pipeline import telemetry
 from benchmarks.service import LeanClient, Service, request_of, scratch, service
+from magcal_core.simulation.dekart_mission import SESSIONS, simulated
 from magcal_core.telemetry import write_samples
 
 ROOM: Final = "api"

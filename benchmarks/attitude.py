@@ -19,7 +19,7 @@ from magcal_core.attitude.options import RomOptions
 from magcal_core.attitude.rom import RomResult, simulate_rom
 from magcal_core.attitude.scenario import Gains
 from magcal_core.field.models import field_model
-from magcal_core.sensor import SensorModel
+from magcal_core.sensor.model import SensorModel
 
 FIGURE_1 = (110.0, -130.0, 170.0)
 FIGURE_2 = (170.0, 80.0, 110.0)

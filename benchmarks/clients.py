@@ -15,12 +15,13 @@ from typing import Final
 import numpy as np
 from sqlalchemy import select
 
-from app.database import Database
-from app.demo.mission import tle_text
 from app.sessions.tables import Chunk
 from app.settings import Settings
-from app.store import open_store, raw_key
+from app.storage.database import Database
+from app.storage.open_store import open_store
+from app.storage.store import raw_key
 from benchmarks.service import Service, length_of, request_of
+from magcal_core.simulation.dekart_mission import tle_text
 
 PATH: Final = "/satellites/load/sessions?magnetometer=mgm"
 NUMBERS: Final = itertools.count()

@@ -16,19 +16,20 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from benchmarks.measure import Figure
+from magcal_core.arrays import Floats
 from magcal_core.attitude.rotation import rotate
-from magcal_core.calibration.fit import Floats, Observations, residuals_nt
-from magcal_core.calibration.result import Parameters
-from magcal_core.calibration.time_offset import SIGNIFICANCE
+from magcal_core.calibration.terms.clock import SIGNIFICANCE
 from magcal_core.errors import EstimationError
 from magcal_core.field.igrf import Igrf
-from magcal_core.missions import draw_orbit
+from magcal_core.observations import Observations, residuals_nt
 from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
-from magcal_core.orbit.earth_fixed import itrf_to_gcrf_fast
+from magcal_core.orbit.earth.earth_fixed import itrf_to_gcrf_fast
 from magcal_core.pipeline import calibrate
-from magcal_core.sensor import SensorModel
-from magcal_core.simulation import Disturbances, Simulation, simulate
+from magcal_core.sensor.model import SensorModel
+from magcal_core.sensor.parameters import Parameters
+from magcal_core.simulation.missions import draw_orbit
+from magcal_core.simulation.telemetry import Disturbances, Simulation, simulate
 
 IS_STUDY = True
 PASSES = 200

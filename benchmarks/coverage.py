@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.measure import Figure
-from magcal_core.calibration.error_budget import DRAG_KM_PER_DAY2, DRIFT_KM_PER_DAY, EPOCH_ERROR_KM
 from magcal_core.errors import EstimationError
-from magcal_core.missions import DisplacedOrbit, DisturbedField, draw_orbit
 from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
 from magcal_core.pipeline import calibrate
-from magcal_core.sensor import SensorModel
-from magcal_core.simulation import Disturbances, simulate
+from magcal_core.reference.error_budget import DRAG_KM_PER_DAY2, DRIFT_KM_PER_DAY, EPOCH_ERROR_KM
+from magcal_core.sensor.model import SensorModel
+from magcal_core.simulation.missions import DisplacedOrbit, DisturbedField, draw_orbit
+from magcal_core.simulation.telemetry import Disturbances, simulate
 
 Floats = NDArray[np.float64]
 

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from benchmarks.measure import Figure, interleaved_s
 from magcal_core.field.igrf import Igrf
 from magcal_core.field.shc import igrf_coefficients
-from magcal_core.field_along import field_along
-from magcal_core.orbit.sgp4 import Sgp4Orbit
-from magcal_core.orbit.tle import parse_tles
+from magcal_core.orbit.messages.tle import parse_tles
+from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
+from magcal_core.reference.field_along_orbit import field_along
 
 Floats = NDArray[np.float64]
 Times = NDArray[np.datetime64]

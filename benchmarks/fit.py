@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from benchmarks.measure import Figure, interleaved_s
-from magcal_core.calibration import ESTIMATORS, FitSettings, Observations
-from magcal_core.calibration.hooke_jeeves import hooke_jeeves
+from magcal_core.calibration.estimators.contract import FitSettings
+from magcal_core.calibration.estimators.hooke_jeeves import hooke_jeeves
+from magcal_core.calibration.estimators.registry import ESTIMATORS
+from magcal_core.observations import Observations
 from magcal_core.samples import Samples
-from magcal_core.sensor import SensorModel, first_order_a
+from magcal_core.sensor.conventions import first_order_a
+from magcal_core.sensor.model import SensorModel
 
 Floats = NDArray[np.float64]
 

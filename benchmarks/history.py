@@ -21,9 +21,9 @@ from typing import Final
 
 import httpx2
 
-from app.demo.mission import SESSIONS, simulated, tle_text
 from benchmarks.measure import Figure
 from benchmarks.service import LeanClient, Service, request_of, scratch, service
+from magcal_core.simulation.dekart_mission import SESSIONS, simulated, tle_text
 from magcal_core.telemetry import write_samples
 
 ROOM: Final = "history"

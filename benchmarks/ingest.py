@@ -17,12 +17,13 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 from sqlalchemy import func, select
 
-from app.database import Database
-from app.keys.repository import SYSTEM
+from app.access.caller import SYSTEM
 from app.sessions.repository import SessionRepository, samples_of
 from app.sessions.tables import TelemetrySession
 from app.settings import Settings
-from app.store import BlobPart, open_store
+from app.storage.database import Database
+from app.storage.database_store import BlobPart
+from app.storage.open_store import open_store
 from benchmarks.measure import Figure, interleaved_s
 from benchmarks.service import LeanClient, request_of, scratch, service
 from magcal_core.samples import Samples

@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.measure import Figure
-from magcal_core.calibration import ESTIMATORS, FitSettings, Observations
-from magcal_core.orbit.sgp4 import Sgp4Orbit
-from magcal_core.orbit.tle import parse_tles
-from magcal_core.sensor import SensorModel
-from magcal_core.simulation import simulate
+from magcal_core.calibration.estimators.contract import FitSettings
+from magcal_core.calibration.estimators.registry import ESTIMATORS
+from magcal_core.observations import Observations
+from magcal_core.orbit.messages.tle import parse_tles
+from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
+from magcal_core.sensor.model import SensorModel
+from magcal_core.simulation.telemetry import simulate
 
 Floats = NDArray[np.float64]
 

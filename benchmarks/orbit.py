@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.measure import Figure, interleaved_s
-from magcal_core.orbit.numerical import NumericalOrbit
+from magcal_core.orbit.propagators.numerical import NumericalOrbit
 
 EPOCH = np.datetime64("2022-02-19T22:37:44.130", "ns")
 R_KM = (6861.897826, -934.3811016, -14.66851920)

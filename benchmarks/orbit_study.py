@@ -19,11 +19,11 @@ from sgp4.api import WGS72, Satrec
 from benchmarks.measure import Figure
 from magcal_core.field.igrf import Igrf
 from magcal_core.orbit import Orbit
-from magcal_core.orbit.forces import ExponentialDrag
-from magcal_core.orbit.frames import convert_position
-from magcal_core.orbit.numerical import NumericalOrbit
+from magcal_core.orbit.earth.frames import convert_position
 from magcal_core.orbit.numerical_fit import fitted_to, numerical_from
-from magcal_core.orbit.sgp4 import Sgp4Orbit
+from magcal_core.orbit.propagators.forces import ExponentialDrag
+from magcal_core.orbit.propagators.numerical import NumericalOrbit
+from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
 
 Floats = NDArray[np.float64]
 Times = NDArray[np.datetime64]

@@ -24,10 +24,10 @@ from typing import TYPE_CHECKING, Final
 import httpx2
 import numpy as np
 
-from app.demo.mission import SESSIONS, tle_of, tle_text
 from benchmarks.measure import Figure
-from magcal_core.orbit.sgp4 import Sgp4Orbit
-from magcal_core.simulation import simulate
+from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
+from magcal_core.simulation.dekart_mission import SESSIONS, tle_of, tle_text
+from magcal_core.simulation.telemetry import simulate
 from magcal_core.telemetry import write_samples
 
 if TYPE_CHECKING:

@@ -12,15 +12,17 @@ from numpy.typing import NDArray
 
 from benchmarks.fit import telemetry as with_base_field
 from benchmarks.measure import Figure, interleaved_s
-from magcal_core.calibration import ESTIMATORS, FitSettings, Observations
+from magcal_core.calibration.estimators.contract import FitSettings
+from magcal_core.calibration.estimators.registry import ESTIMATORS
 from magcal_core.field.igrf import Igrf
-from magcal_core.field_along import field_along
-from magcal_core.orbit.sgp4 import Sgp4Orbit
-from magcal_core.orbit.tle import parse_tles
+from magcal_core.observations import Observations
+from magcal_core.orbit.messages.tle import parse_tles
+from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
 from magcal_core.pipeline import calibrate
-from magcal_core.reference import with_reference
+from magcal_core.reference.columns import with_reference
+from magcal_core.reference.field_along_orbit import field_along
 from magcal_core.samples import Samples
-from magcal_core.sensor import SensorModel
+from magcal_core.sensor.model import SensorModel
 
 Floats = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 
 from benchmarks.measure import Figure
-from magcal_core.missions import draw_mission
-from magcal_core.population import TOLERANCE, Outcome, rates_of, run_mission
+from magcal_core.simulation.missions import draw_mission
+from magcal_core.simulation.population import TOLERANCE, Outcome, rates_of, run_mission
 
 IS_STUDY = True
 MISSIONS = 2000

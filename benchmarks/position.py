@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.measure import Figure, interleaved_s
-from magcal_core.orbit.frames import teme_to_itrf
-from magcal_core.orbit.sgp4 import Sgp4Orbit
-from magcal_core.orbit.timescales import julian_utc
-from magcal_core.orbit.tle import checksum, parse_tles
+from magcal_core.orbit.earth.frames import teme_to_itrf
+from magcal_core.orbit.earth.timescales import julian_utc
+from magcal_core.orbit.messages.tle import checksum, parse_tles
+from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
 
 SAMPLES = 1_000_000
 TLES = Path(__file__).resolve().parent.parent / "tests" / "data" / "dekart.tle.txt"

@@ -17,18 +17,18 @@ from typing import Final
 
 from sqlalchemy import func, select
 
-from app.database import Database, new_id, utc_now
-from app.jobs.attitude_simulation import AttitudeBody
-from app.jobs.claims import Sightings, claim_next, finish
-from app.jobs.engine import open_engine
+from app.access.caller import SYSTEM
+from app.jobs.engines.open_engine import open_engine
+from app.jobs.execution.leases import Sightings, claim_next, finish
+from app.jobs.fair_order import take_turns
+from app.jobs.kinds.attitude_simulation import AttitudeBody
 from app.jobs.repository import JobRepository
 from app.jobs.tables import Job
-from app.jobs.turns import take_turns
-from app.keys.repository import SYSTEM
-from app.migrate import upgrade
 from app.satellites.tables import Satellite
 from app.settings import Settings
-from app.store import open_store
+from app.storage.database import Database, new_id, utc_now
+from app.storage.migration import upgrade
+from app.storage.open_store import open_store
 from benchmarks.measure import Figure
 from benchmarks.service import cpu_s_of, postgres, process, scratch
 

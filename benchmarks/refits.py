@@ -1,7 +1,7 @@
 """What a session costs once more: refits, blocks left out, bootstrap, regressors, clock, from samples and from moments.
 
 From its stored moments each takes milliseconds at any number of samples; the estimate alone is to take 2 ms
-(``magcal_core.calibration.refitting``), the rest is honest errors, models tried and replicates.
+(``magcal_core.calibration.refit.refit``), the rest is honest errors, models tried and replicates.
 
 A pass is one evaluation of the fit's kernel, cost, gradient and normal matrix, over all samples, of which a refit takes
 three or four. Processor time: all threads count. At 700 samples a refit and its blocks may take a quarter of a whole
@@ -23,21 +23,23 @@ from numpy.typing import NDArray
 
 from benchmarks.measure import Figure, interleaved_s
 from benchmarks.pipeline import orbit, telemetry
-from magcal_core.calibration import ESTIMATORS, Fit, FitSettings, Observations
-from magcal_core.calibration.bootstrap import bootstrap
-from magcal_core.calibration.jacobians import Standardised, theta_of_parameters
-from magcal_core.calibration.kernels import accumulate
-from magcal_core.calibration.moments import FitMoments
-from magcal_core.calibration.monitoring import ActiveSet, judge_moments, judge_session, moments_of
-from magcal_core.calibration.one_step import steps_of
-from magcal_core.calibration.refitting import RefitOptions, refit
-from magcal_core.calibration.regressors import choose_regressors
-from magcal_core.calibration.selection import held_out_residuals_nt
-from magcal_core.calibration.time_offset import fit_with_clock
+from magcal_core.calibration.estimators.contract import Fit, FitSettings
+from magcal_core.calibration.estimators.registry import ESTIMATORS
+from magcal_core.calibration.estimators.scalar_kernel import accumulate
+from magcal_core.calibration.refit.moments import FitMoments
+from magcal_core.calibration.refit.refit import RefitOptions, refit
+from magcal_core.calibration.sessions.monitoring import ActiveSet, judge_moments, judge_session, moments_of
+from magcal_core.calibration.terms.clock import fit_with_clock
+from magcal_core.calibration.terms.regressor_selection import choose_regressors
+from magcal_core.calibration.uncertainty.bootstrap import bootstrap
+from magcal_core.calibration.uncertainty.cross_validation import held_out_residuals_nt
+from magcal_core.calibration.uncertainty.reweighted_blocks import steps_of
+from magcal_core.observations import Observations
 from magcal_core.options import CalibrationOptions
 from magcal_core.pipeline import calibrate
-from magcal_core.referenced import Referenced
+from magcal_core.reference.referenced_samples import Referenced
 from magcal_core.samples import Samples
+from magcal_core.sensor.parameterisation import Standardised, theta_of_parameters
 
 ROOM = "refits"
 LOSS = "soft_l1"

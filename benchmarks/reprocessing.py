@@ -18,9 +18,9 @@ from pathlib import Path
 
 import httpx2
 
-from app.demo.mission import SESSIONS, simulated, tle_text
 from benchmarks.measure import Figure
 from benchmarks.service import postgres
+from magcal_core.simulation.dekart_mission import SESSIONS, simulated, tle_text
 from magcal_core.telemetry import write_samples
 
 ROOM = "reprocessing"

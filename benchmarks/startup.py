@@ -11,9 +11,9 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from app.demo.mission import SESSIONS, simulated, tle_text
 from benchmarks.measure import Figure
 from benchmarks.service import MAGCAL, scratch, service
+from magcal_core.simulation.dekart_mission import SESSIONS, simulated, tle_text
 from magcal_core.telemetry import write_samples
 
 ROOM: Final = "startup"

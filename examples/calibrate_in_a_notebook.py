@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 import magcal_core as mc
-from app import figures
-from app.records import parameter_set_record
-from app.report import render_report
+from app.records.parameter_set import parameter_set_record
+from app.reporting import figures
+from app.reporting.report import render_report
 
 TLE = """DEKART 2022-02-19
 1 46493U 20068H   22050.94287187  .00000000  00000-0  00000+0 0  9996

@@ -8,7 +8,7 @@
 import os
 from pathlib import Path
 
-from app.client import Client
+from app.client.blocking import Client
 
 client = Client(os.environ.get("MAGCAL_URL", "http://127.0.0.1:8000"), os.environ["MAGCAL_KEY"])
 

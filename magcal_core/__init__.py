@@ -9,46 +9,46 @@ import importlib
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from magcal_core.calibration.moments import FitMoments as FitMoments
-    from magcal_core.calibration.refitting import RefitOptions as RefitOptions
-    from magcal_core.calibration.refitting import refit as refit
+    from magcal_core.calibration.refit.moments import FitMoments as FitMoments
+    from magcal_core.calibration.refit.refit import RefitOptions as RefitOptions
+    from magcal_core.calibration.refit.refit import refit as refit
     from magcal_core.calibration.result import Calibration as Calibration
     from magcal_core.field.dipole import DirectDipole as DirectDipole
     from magcal_core.field.igrf import Igrf as Igrf
     from magcal_core.field.models import field_model as field_model
-    from magcal_core.orbit.numerical import NumericalOrbit as NumericalOrbit
-    from magcal_core.orbit.oem import OemOrbit as OemOrbit
-    from magcal_core.orbit.sgp4 import Sgp4Orbit as Sgp4Orbit
+    from magcal_core.orbit.messages.oem import OemOrbit as OemOrbit
+    from magcal_core.orbit.messages.state import StateVector as StateVector
+    from magcal_core.orbit.propagators.numerical import NumericalOrbit as NumericalOrbit
+    from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit as Sgp4Orbit
     from magcal_core.orbit.sources import parse_orbits as parse_orbits
-    from magcal_core.orbit.state import StateVector as StateVector
     from magcal_core.pipeline import CalibrationOptions as CalibrationOptions
     from magcal_core.pipeline import calibrate as calibrate
-    from magcal_core.reference import with_reference as with_reference
+    from magcal_core.reference.columns import with_reference as with_reference
     from magcal_core.samples import Samples as Samples
-    from magcal_core.sensor import SensorModel as SensorModel
-    from magcal_core.simulation import simulate as simulate
+    from magcal_core.sensor.model import SensorModel as SensorModel
+    from magcal_core.simulation.telemetry import simulate as simulate
     from magcal_core.telemetry import read_samples as read_samples
 
 _HOME: Final[dict[str, str]] = {
     "Calibration": "calibration.result",
     "CalibrationOptions": "pipeline",
     "DirectDipole": "field.dipole",
-    "FitMoments": "calibration.moments",
+    "FitMoments": "calibration.refit.moments",
     "Igrf": "field.igrf",
-    "NumericalOrbit": "orbit.numerical",
-    "OemOrbit": "orbit.oem",
-    "RefitOptions": "calibration.refitting",
+    "NumericalOrbit": "orbit.propagators.numerical",
+    "OemOrbit": "orbit.messages.oem",
+    "RefitOptions": "calibration.refit.refit",
     "Samples": "samples",
-    "SensorModel": "sensor",
-    "Sgp4Orbit": "orbit.sgp4",
-    "StateVector": "orbit.state",
+    "SensorModel": "sensor.model",
+    "Sgp4Orbit": "orbit.propagators.sgp4",
+    "StateVector": "orbit.messages.state",
     "calibrate": "pipeline",
     "field_model": "field.models",
     "parse_orbits": "orbit.sources",
     "read_samples": "telemetry",
-    "refit": "calibration.refitting",
-    "simulate": "simulation",
-    "with_reference": "reference",
+    "refit": "calibration.refit.refit",
+    "simulate": "simulation.telemetry",
+    "with_reference": "reference.columns",
 }
 
 __all__ = sorted(_HOME)  # noqa: PLE0605

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats
 from magcal_core.samples import EXCLUDED, SampleFlag, Samples
-
-Floats = NDArray[np.float64]
 
 WITHOUT_READING: Final = (
     SampleFlag.NOT_FINITE

@@ -10,10 +10,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats, Times
 from magcal_core.errors import TelemetryValueError
 
-Times = NDArray[np.datetime64]
-Floats = NDArray[np.float64]
 Flags = NDArray[np.uint16]
 
 

@@ -7,21 +7,22 @@ from contextlib import suppress
 
 import numpy as np
 
-from magcal_core.calibration import ESTIMATORS
+from magcal_core.calibration.estimators.contract import FitSettings
 from magcal_core.calibration.estimators.loss import AUTO, AUTO_LOSS, fit_under_loss
-from magcal_core.calibration.fit import FitSettings, Observations, corrected_nt
-from magcal_core.calibration.joint import DEFAULT_SHARED, JointFit, joint_fit
-from magcal_core.calibration.magnetometers import Comparison, CorrectedReadings, compare_magnetometers
-from magcal_core.calibration.monitoring import ActiveSet, SessionJudgement, judge_session
-from magcal_core.calibration.result import Parameters
+from magcal_core.calibration.estimators.registry import ESTIMATORS
+from magcal_core.calibration.sessions.joint import DEFAULT_SHARED, JointFit, joint_fit
+from magcal_core.calibration.sessions.monitoring import ActiveSet, SessionJudgement, judge_session
+from magcal_core.calibration.sessions.two_magnetometers import Comparison, CorrectedReadings, compare_magnetometers
 from magcal_core.errors import EstimationError, OptionError
 from magcal_core.field.models import field_model
+from magcal_core.observations import Observations, corrected_nt
 from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
-from magcal_core.reference import with_reference
-from magcal_core.referenced import Referenced, has_columns, in_time_order, oriented
-from magcal_core.regressor_columns import is_of_scale, missing_columns, regressor_of
+from magcal_core.reference.columns import with_reference
+from magcal_core.reference.referenced_samples import Referenced, has_columns, in_time_order, oriented
 from magcal_core.samples import Samples
+from magcal_core.sensor.parameters import Parameters
+from magcal_core.sensor.regressors import is_of_scale, missing_columns, regressor_of
 
 
 def calibrate_jointly(

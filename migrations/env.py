@@ -7,24 +7,25 @@ from typing import Literal
 from alembic import context
 from alembic.autogenerate.api import AutogenContext
 
-import app.idempotency
+import app.access.audit_trail
+import app.access.idempotency
+import app.access.key_tables
 import app.jobs.tables
-import app.keys.tables
 import app.orbits.tables
 import app.parameter_sets.tables
 import app.satellites.tables
 import app.sessions.tables
-import app.store  # noqa: F401
-from app.database import Base, JsonColumn, UtcDateTime
+import app.storage.database_store  # noqa: F401
+from app.storage.database import Base, JsonColumn, UtcDateTime
 
 
 def render_item(kind: str, item: object, autogen: AutogenContext) -> str | Literal[False]:
     """Return the column types of magcal under their own names."""
     if kind == "type" and isinstance(item, UtcDateTime):
-        autogen.imports.add("from app.database import UtcDateTime")
+        autogen.imports.add("from app.storage.database import UtcDateTime")
         return "UtcDateTime()"
     if kind == "type" and item is JsonColumn:
-        autogen.imports.add("from app.database import JsonColumn")
+        autogen.imports.add("from app.storage.database import JsonColumn")
         return "JsonColumn"
     return False
 

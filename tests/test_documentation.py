@@ -12,10 +12,10 @@ import app
 from app.cli.main import COMMANDS
 from app.main import create_app
 from app.settings import Settings
-from magcal_core.calibration import ESTIMATORS
+from magcal_core.calibration.estimators.registry import ESTIMATORS
 from magcal_core.errors import MagcalError
 from magcal_core.field.models import FIELD_MODELS
-from magcal_core.sensor import CONVENTIONS
+from magcal_core.sensor.conventions import CONVENTIONS
 from magcal_core.telemetry import READERS
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"

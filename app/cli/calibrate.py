@@ -41,8 +41,8 @@ from magcal_core.options import (
 from magcal_core.units import NT_PER_UNIT
 
 if TYPE_CHECKING:
-    from magcal_core.calibration.monitoring import ActiveSet
     from magcal_core.calibration.result import Calibration
+    from magcal_core.calibration.sessions.monitoring import ActiveSet
     from magcal_core.samples import Samples
     from magcal_core.telemetry import Telemetry
 
@@ -175,7 +175,7 @@ def failures_as_json(is_wanted: bool) -> Iterator[None]:
         yield
     except MagcalError as error:
         if is_wanted:
-            from app.finite import without_nan
+            from app.records.json_numbers import without_nan
 
             told = {"code": error.code, "detail": error.message, "diagnosis": error.diagnosis}
             click.echo(json.dumps(without_nan({"error": {**told, "data_quality": error.data_quality}})))
@@ -240,7 +240,7 @@ def _uncorrected(samples: Samples, path: Path, inputs: list[dict[str, object]]) 
         The file is not a parameter set, or the samples lack one of its regressors.
     """
     from app.parameter_sets.correction import Correction
-    from app.records import parse_parameter_set
+    from app.records.parameter_set import parse_parameter_set
 
     content = path.read_bytes()
     correction = Correction.of(parse_parameter_set(content))
@@ -259,8 +259,8 @@ def _in_force(path: Path | None) -> ActiveSet | None:
     """
     if path is None:
         return None
-    from app.records import parse_parameter_set
-    from magcal_core.calibration.monitoring import ActiveSet
+    from app.records.parameter_set import parse_parameter_set
+    from magcal_core.calibration.sessions.monitoring import ActiveSet
 
     return ActiveSet.from_record(parse_parameter_set(path.read_bytes()))
 
@@ -288,14 +288,14 @@ def parameter_set(calibration: Calibration, inputs: list[dict[str, object]]) -> 
     record["provenance"] = {"software": software, "inputs": inputs} | (
         provenance if isinstance(provenance, dict) else {}
     )
-    from app.finite import without_nan
+    from app.records.json_numbers import without_nan
 
     finite = without_nan(record)
     return finite if isinstance(finite, dict) else record
 
 
 def _write_residuals(calibration: Calibration, path: Path) -> None:
-    from app.parameter_sets.residuals import residual_table
+    from app.records.residual_table import residual_table
     from magcal_core.telemetry import WRITERS, format_of_name
 
     path.write_bytes(WRITERS[format_of_name(path) or "csv"](residual_table(calibration.residuals)))

@@ -9,7 +9,8 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
-    from magcal_core.calibration.result import Calibration, Parameters
+    from magcal_core.calibration.result import Calibration
+    from magcal_core.sensor.parameters import Parameters
 
 COLOURS: Final = {"accept": "green", "weak": "yellow", "refuse": "red"}
 GROUPS: Final = (
@@ -60,7 +61,7 @@ def _parameter_table(calibration: Calibration) -> Table:
 
 def _labels(parameters: Parameters) -> Iterator[tuple[str, str]]:
     """Yield the label and the number format of every parameter, in the order of their names."""
-    from magcal_core.regressor_columns import is_of_scale, source_of
+    from magcal_core.sensor.regressors import is_of_scale, source_of
 
     for label, unit, shown in GROUPS:
         for axis in "123":

@@ -30,7 +30,7 @@ def command(parameters: Path, source: str, target: str, as_json: bool) -> None:
     {"bias_nt": [..], "matrix": [[..], ..]}, or a parameter set as `magcal calibrate --json` prints it, whose
     parameters are exact.
     """
-    from magcal_core.sensor import CONVENTIONS, convert
+    from magcal_core.sensor.conventions import CONVENTIONS, convert
 
     for option, name in (("--from", source), ("--to", target)):
         if name not in CONVENTIONS:

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from app.database import Database
     from app.settings import Settings
+    from app.storage.database import Database
 
 
 @contextmanager
 def opened() -> Iterator[tuple[Database, Settings]]:
     """Yield the database that the settings name, with the settings."""
-    from app.database import Database
     from app.settings import Settings
+    from app.storage.database import Database
 
     settings = Settings()
     database = Database(settings)
@@ -36,8 +36,8 @@ def command() -> None:
 @click.argument("revision", default="head")
 def upgrade(revision: str) -> None:
     """Bring the database to this version's schema, or to REVISION, up or down."""
-    from app.migrate import current, migrate
-    from app.migrate import upgrade as to_head
+    from app.storage.migration import current, migrate
+    from app.storage.migration import upgrade as to_head
 
     with opened() as (database, settings):
         if revision == "head":
@@ -50,7 +50,7 @@ def upgrade(revision: str) -> None:
 @command.command("current")
 def show_current() -> None:
     """Print the revision of the database's schema, and the one that this version needs."""
-    from app.migrate import current, head
+    from app.storage.migration import current, head
 
     with opened() as (database, _):
         found = current(database)
@@ -63,8 +63,8 @@ def show_audit(as_json: bool) -> None:
     """Check that everything acknowledged is there, byte for byte; exit 1 where something is amiss."""
     import json
 
-    from app.store import open_store
-    from app.upkeep.audit import audit, lines_of
+    from app.maintenance.audit import audit, lines_of
+    from app.storage.open_store import open_store
 
     with opened() as (database, settings):
         found = audit(database, open_store(settings))
@@ -76,8 +76,8 @@ def show_audit(as_json: bool) -> None:
 @command.command("rebuild")
 def make_again() -> None:
     """Make the columnar form of all telemetry again from its raw bytes."""
-    from app.store import open_store
-    from app.upkeep.rebuild import rebuild
+    from app.maintenance.rebuild import rebuild
+    from app.storage.open_store import open_store
 
     with opened() as (database, settings):
         done = rebuild(database, open_store(settings), settings)
@@ -88,10 +88,10 @@ def make_again() -> None:
 @click.argument("target_url", metavar="TARGET_URL")
 def copy_to(target_url: str) -> None:
     """Copy the database to another one, TARGET_URL, which is brought to this schema and must be empty."""
-    from app.database import Database
-    from app.migrate import upgrade as to_head
+    from app.maintenance.copy_database import copy
     from app.settings import Settings
-    from app.upkeep.copying import copy
+    from app.storage.database import Database
+    from app.storage.migration import upgrade as to_head
 
     with opened() as (source, settings):
         target_settings = settings.model_copy(update={"database_url": target_url})
@@ -108,8 +108,8 @@ def copy_to(target_url: str) -> None:
 @click.option("--apply", "is_meant", is_flag=True, help="Remove; without it, only say what would be removed.")
 def run_retention(is_meant: bool) -> None:
     """Remove raw bytes and chunks that are past their satellite's retention; parameter sets stay."""
-    from app.store import open_store
-    from app.upkeep.retention import expired, remove_expired
+    from app.maintenance.retention import expired, remove_expired
+    from app.storage.open_store import open_store
 
     with opened() as (database, settings):
         found = remove_expired(database, open_store(settings)) if is_meant else expired(database)

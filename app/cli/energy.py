@@ -98,7 +98,7 @@ def _orbit_of(path: Path) -> Orbit:
 
 def _length_s(orbit: Orbit) -> float:
     """Return how long an ephemeris is, s; a day for other orbits."""
-    from magcal_core.orbit.oem import OemOrbit
+    from magcal_core.orbit.messages.oem import OemOrbit
 
     if not isinstance(orbit, OemOrbit):
         return 86400.0
@@ -122,8 +122,8 @@ def _draw(balance: EnergyBalance, path: Path) -> None:
     """Draw H and every term that acts, and what was recovered, on an HTML page."""
     import numpy as np
 
-    from app.figures import coefficient_errors, energy_terms
-    from app.figures.page import figure_page
+    from app.reporting.figures import coefficient_errors, energy_terms
+    from app.reporting.figures.page import figure_page
 
     acting = {name: series for name, series in balance.columns().items() if np.ptp(series) > 0.0}
     figures = {"Terms less their means, m²/s²": energy_terms(balance.t_utc, acting)}

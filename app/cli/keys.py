@@ -38,7 +38,7 @@ class UtcMoment(click.ParamType[datetime]):
         """Return the time, in UTC."""
         from pydantic_core import PydanticCustomError
 
-        from app.schemas import parse_utc
+        from app.http.schemas import parse_utc
 
         try:
             time = parse_utc(value)
@@ -51,9 +51,9 @@ class UtcMoment(click.ParamType[datetime]):
 
 @contextmanager
 def _writing() -> Iterator[Session]:
-    from app.database import Database
-    from app.migrate import upgrade
     from app.settings import Settings
+    from app.storage.database import Database
+    from app.storage.migration import upgrade
 
     settings = Settings()
     database = Database(settings)
@@ -83,8 +83,8 @@ def create(
     unknown = sorted(set(scopes) - set(SCOPES))
     if unknown:
         raise click.BadParameter(f"unknown scope {unknown[0]}; known are {', '.join(SCOPES)}", param_hint="--scopes")
-    from app.keys.repository import KeyRepository
-    from app.schemas import utc_text
+    from app.access.key_repository import KeyRepository
+    from app.http.schemas import utc_text
 
     with _writing() as session:
         made = KeyRepository(session).create(scopes, satellites, expires, name)
@@ -109,8 +109,8 @@ def list_keys(as_json: bool) -> None:
     """List the keys, the newest first, without their secrets."""
     from sqlalchemy import select
 
-    from app.keys.schemas import KeyRead
-    from app.keys.tables import ApiKey
+    from app.access.key_schemas import KeyRead
+    from app.access.key_tables import ApiKey
 
     with _writing() as session:
         rows = session.scalars(select(ApiKey).order_by(ApiKey.created_at.desc(), ApiKey.id)).all()
@@ -130,7 +130,7 @@ def list_keys(as_json: bool) -> None:
 @click.argument("key_id", metavar="ID")
 def revoke(key_id: str) -> None:
     """Revoke a key: its next request is refused, in every process."""
-    from app.keys.repository import KeyRepository
+    from app.access.key_repository import KeyRepository
 
     with _writing() as session:
         KeyRepository(session).revoke(key_id)

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Final
 import click
 
 if TYPE_CHECKING:
-    from app.client import Client
-    from app.client_station import Outcome, Station
+    from app.client.blocking import Client
+    from app.client.station import Outcome, Station
 
 LONGEST_PAUSE_S: Final = 60.0
 
@@ -49,8 +49,8 @@ def command(
     moved to its subfolder sent/ when the service has its bytes on disk, to refused/ (with its faults in NAME.why) where
     the service will never take it, and stays where it is while the service cannot be reached.
     """
-    from app.client import Client
-    from app.client_station import Destination, Station, taken
+    from app.client.blocking import Client
+    from app.client.station import Destination, Station, taken
 
     if not telemetry.is_dir():
         if watch:
@@ -71,7 +71,7 @@ def _push_file(client: Client, path: Path, satellite: str, magnetometer: str, *,
     from rich.console import Console
     from rich.progress import Progress
 
-    from app.client import media_type_of
+    from app.client.blocking import media_type_of
 
     content = path.read_bytes()
     console = Console(stderr=True)

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Final
 import click
 
 if TYPE_CHECKING:
-    from app.pointing import ImpactRecord
-    from app.records import ParameterSetRecord
-    from magcal_core.calibration.result import ResidualTable
+    from app.records.parameter_set import ParameterSetRecord
+    from app.reporting.pointing import ImpactRecord
+    from magcal_core.calibration.residuals import ResidualTable
 
 IDENTIFIER: Final = re.compile(r"[0-9a-f]{32}")
 FORMATS: Final = {".csv": "csv", ".json": "json", ".ndjson": "ndjson", ".jsonl": "ndjson", ".parquet": "parquet"}
@@ -37,13 +37,13 @@ def command(
     RESULT.json is what `magcal calibrate --json` printed; give its residuals with --residuals, and the report has their
     figures. PARAMETER_SET is the id of one in a service.
     """
-    from app.report import print_pdf, render_report
+    from app.reporting.report import print_pdf, render_report
 
     impact = None
     if Path(source).is_file():
         record, table = _of_files(Path(source), residuals)
         if pointing:
-            from app.pointing import pointing_of
+            from app.reporting.pointing import pointing_of
 
             impact = pointing_of(record)
     elif IDENTIFIER.fullmatch(source):
@@ -64,8 +64,8 @@ def command(
 
 
 def _of_files(result: Path, residuals: Path | None) -> tuple[ParameterSetRecord, ResidualTable | None]:
-    from app.records import parse_parameter_set
-    from app.residual_files import read_residuals
+    from app.records.parameter_set import parse_parameter_set
+    from app.records.residual_table import read_residuals
 
     record = parse_parameter_set(result.read_bytes())
     if residuals is None:
@@ -81,9 +81,9 @@ def _of_service(
 ) -> tuple[ParameterSetRecord, ResidualTable, ImpactRecord | None]:
     import json
 
-    from app.client import Client
-    from app.records import parse_parameter_set
-    from app.residual_files import read_residuals
+    from app.client.blocking import Client
+    from app.records.parameter_set import parse_parameter_set
+    from app.records.residual_table import read_residuals
 
     if key is None:
         raise click.UsageError("a service needs a key: --key or MAGCAL_KEY")

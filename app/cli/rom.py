@@ -181,8 +181,8 @@ def _draw(options: RomOptions, result: RomResult, path: Path, sweep: tuple[float
     """Draw the error of this run, of the raw magnetometer where this one is corrected, and the sweep."""
     from dataclasses import replace
 
-    from app.figures import error_against_angle, settling
-    from app.figures.page import figure_page
+    from app.reporting.figures import error_against_angle, settling
+    from app.reporting.figures.page import figure_page
     from magcal_core.attitude.rom import simulate_rom
     from magcal_core.attitude.sweep import sweep_nonorthogonality
 

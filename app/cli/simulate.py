@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from magcal_core.orbit import Orbit
-    from magcal_core.simulation import Simulation
+    from magcal_core.simulation.telemetry import Simulation
 
 VECTOR: Final = Numbers(3)
 
@@ -97,8 +97,8 @@ def command(
     import numpy as np
 
     from magcal_core.field.models import field_model
-    from magcal_core.sensor import SensorModel
-    from magcal_core.simulation import DEKART_MOMENTS, Disturbances, simulate
+    from magcal_core.sensor.model import SensorModel
+    from magcal_core.simulation.telemetry import DEKART_MOMENTS, Disturbances, simulate
     from magcal_core.telemetry import format_of_name
 
     if (tle is None) == (state is None):

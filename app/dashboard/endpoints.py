@@ -8,8 +8,10 @@ from typing import Annotated, Any, Final
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
 
-from app.auth import Reader
-from app.dashboard import drawing
+from app.access.authentication import Reader
+from app.access.caller import SYSTEM, Caller
+from app.dashboard import figure_routes
+from app.dashboard.overview import history_rows, overview_rows, record_of
 from app.dashboard.schemas import (
     CompareQuery,
     FigureQuery,
@@ -26,24 +28,22 @@ from app.dashboard.schemas import (
     SessionSummary,
     SetFigure,
 )
-from app.dashboard.state import history_rows, overview_rows, record_of
-from app.keys.repository import SYSTEM, Caller
+from app.http.dependencies import Blobs, Db
+from app.http.schemas import Page, utc_text
 from app.orbits.parsing import orbit_of
 from app.orbits.repository import OrbitRepository
-from app.parameter_sets.listing import listed
+from app.parameter_sets.json_listing import listed
 from app.parameter_sets.pointing import pointing_impact
 from app.parameter_sets.repository import ParameterSetRepository
-from app.parameter_sets.residuals import from_bytes
 from app.parameter_sets.schemas import ParameterSetQuery
 from app.parameter_sets.tables import ParameterSet
-from app.records import ParameterSetRecord
-from app.residual_files import residuals_of
-from app.resources import Blobs, Db
+from app.records.arrow import from_bytes
+from app.records.parameter_set import ParameterSetRecord
+from app.records.residual_table import residuals_of
 from app.satellites.repository import SatelliteRepository
-from app.schemas import Page, utc_text
 from app.sessions.repository import SessionRepository, samples_of
-from app.store import Store, residuals_key
-from magcal_core.calibration.result import ResidualTable
+from app.storage.store import Store, residuals_key
+from magcal_core.calibration.residuals import ResidualTable
 from magcal_core.samples import Samples
 
 router = APIRouter(tags=["displays"])
@@ -84,7 +84,7 @@ def get_history(satellite_id: str, query: Annotated[HistoryQuery, Query()], call
 @router.get("/sessions/{session_id}/summary")
 def get_session_summary(session_id: str, caller: Reader, db: Db, store: Blobs) -> SessionSummary:
     """Show what the readings of a session span."""
-    from magcal_core.calibration.observability import sphere_coverage
+    from magcal_core.calibration.observability.information import sphere_coverage
 
     samples = _samples(session_id, caller, db, store)
     h_nt = samples.h_nt[samples.is_used]
@@ -106,7 +106,7 @@ def get_session_residual(
     session_id: str, query: Annotated[ResidualQuery, Query()], caller: Reader, db: Db, store: Blobs
 ) -> ResidualSummary:
     """Show the residual of |B| that a session has under a parameter set, which need not come from it."""
-    from app.dashboard.checking import residual_under
+    from app.monitoring.residual_check import residual_under
 
     with db.read() as session:
         row = ParameterSetRepository(session, caller).get(query.parameter_set)
@@ -140,12 +140,12 @@ def get_parameter_set_figure(
 ) -> Response:
     """Draw a figure of a parameter set."""
     row = _parameter_set(parameter_set_id, caller, db)
-    etag = drawing.etag("set", row.id, figure, query.theme)
+    etag = figure_routes.etag("set", row.id, figure, query.theme)
     if request.headers.get("if-none-match") == etag:
         return Response(status_code=304, headers={"ETag": etag})
-    residuals = None if figure in drawing.OF_RECORD else _residuals(row, db, store)
-    made = drawing.parameter_set_figure(figure, record_of(row), residuals, query.theme)
-    return drawing.answer(made, etag)
+    residuals = None if figure in figure_routes.OF_RECORD else _residuals(row, db, store)
+    made = figure_routes.parameter_set_figure(figure, record_of(row), residuals, query.theme)
+    return figure_routes.answer(made, etag)
 
 
 @router.get("/sessions/{session_id}/figures/{figure}", response_class=Response, responses=FIGURES)
@@ -159,7 +159,9 @@ def get_session_figure(
     store: Blobs,
 ) -> Response:
     """Draw a figure of a session."""
-    return drawing.answer(drawing.session_figure(figure, _samples(session_id, caller, db, store), query.theme))
+    return figure_routes.answer(
+        figure_routes.session_figure(figure, _samples(session_id, caller, db, store), query.theme)
+    )
 
 
 @router.get("/satellites/{satellite_id}/figures/{figure}", response_class=Response, responses=FIGURES)
@@ -176,21 +178,21 @@ def get_history_figure(
     with db.read() as session:
         SatelliteRepository(session, caller).get(satellite_id)
         if figure == "sessions":
-            return drawing.answer(drawing.timeline_figure(session, caller, satellite_id, query))
+            return figure_routes.answer(figure_routes.timeline_figure(session, caller, satellite_id, query))
         wanted = ParameterSetQuery(satellite=satellite_id, magnetometer=query.magnetometer, limit=MOST_SETS)
         sets = listed(session.connection(), caller, wanted)
-        etag = drawing.etag("history", sets.tag, figure, query.theme)
+        etag = figure_routes.etag("history", sets.tag, figure, query.theme)
         if request.headers.get("if-none-match") == etag:
             return Response(status_code=304, headers={"ETag": etag})
-        made = drawing.history_figure(session, sets, figure, query.theme)
-    return drawing.answer(made, etag)
+        made = figure_routes.history_figure(session, sets, figure, query.theme)
+    return figure_routes.answer(made, etag)
 
 
 @router.get("/figures/compare", response_class=Response, responses=FIGURES)
 def get_comparison_figure(query: Annotated[CompareQuery, Query()], caller: Reader, db: Db) -> Response:
     """Draw the differences between two parameter sets."""
     first, second = (record_of(_parameter_set(one, caller, db)) for one in (query.first, query.second))
-    return drawing.answer(drawing.comparison(first, second, query.theme))
+    return figure_routes.answer(figure_routes.comparison(first, second, query.theme))
 
 
 @router.get(
@@ -206,7 +208,7 @@ def get_report(
     query: Annotated[ReportQuery, Query()],
 ) -> Response:
     """Give the report of a parameter set as one page that needs nothing else and prints as it stands."""
-    from app.report import render_report
+    from app.reporting.report import render_report
 
     row = _parameter_set(parameter_set_id, caller, db)
     record: ParameterSetRecord = record_of(row)
@@ -220,7 +222,7 @@ def get_report(
 
 
 def _now() -> str:
-    from app.database import utc_now
+    from app.storage.database import utc_now
 
     return utc_text(utc_now())[:19].replace("T", " ") + " UTC"
 

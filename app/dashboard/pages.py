@@ -9,12 +9,13 @@ from urllib.parse import parse_qsl
 from fastapi import APIRouter, Depends, Request, Response
 from fastapi.responses import HTMLResponse, JSONResponse, RedirectResponse
 
-from app.auth import LOGIN_COOKIE, FailureLimiter, authenticate, is_same_origin, verify_key
-from app.dashboard import assets, brought
+from app.access.authentication import LOGIN_COOKIE, FailureLimiter, authenticate, is_same_origin, verify_key
+from app.access.caller import Caller
+from app.access.key_repository import KEY_FORM, KeyRepository
+from app.dashboard import assets, page_data
 from app.errors import TooManyFailuresError, UnauthorizedError
-from app.figures.page import script_json
-from app.keys.repository import KEY_FORM, Caller, KeyRepository
-from app.resources import Config, Db
+from app.http.dependencies import Config, Db
+from app.reporting.figures.page import script_json
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -56,13 +57,13 @@ def _caller(request: Request) -> Caller | None:
         return None
 
 
-def _page(request: Request, template: str, title: str, ask: brought.Bringer | None = None) -> HTMLResponse:
+def _page(request: Request, template: str, title: str, ask: page_data.Bringer | None = None) -> HTMLResponse:
     caller = _caller(request)
     if caller is None:
         address = request.url.path + (f"?{request.url.query}" if request.url.query else "")
         return _render("login.html", title="Sign in", target=address, message="")
     script = template.replace(".html", ".js")
-    answers = brought.brought(ask, caller, request.app.state.database, request.app.state.texts)
+    answers = page_data.brought(ask, caller, request.app.state.database, request.app.state.texts)
     return _render(
         template,
         title=title,
@@ -76,44 +77,44 @@ def _page(request: Request, template: str, title: str, ask: brought.Bringer | No
 @router.get("/")
 def overview_page(request: Request) -> HTMLResponse:
     """Show every satellite with its state at a glance."""
-    return _page(request, "overview.html", "Satellites", brought.of_overview)
+    return _page(request, "overview.html", "Satellites", page_data.of_overview)
 
 
 @router.get("/satellites/{satellite_id}")
 def satellite_page(satellite_id: str, request: Request) -> HTMLResponse:
     """Show a satellite: its history, sessions, parameter sets and orbits."""
-    return _page(request, "satellite.html", satellite_id, brought.of_satellite(satellite_id))
+    return _page(request, "satellite.html", satellite_id, page_data.of_satellite(satellite_id))
 
 
 @router.get("/sessions/{session_id}")
 def session_page(session_id: str, request: Request) -> HTMLResponse:
     """Show a session."""
-    return _page(request, "session.html", f"Session {session_id}", brought.of_session(session_id))
+    return _page(request, "session.html", f"Session {session_id}", page_data.of_session(session_id))
 
 
 @router.get("/parameter-sets/{set_id}")
 def parameter_set_page(set_id: str, request: Request) -> HTMLResponse:
     """Show a parameter set, its verdict first."""
-    return _page(request, "parameter_set.html", f"Parameter set {set_id}", brought.of_parameter_sets(set_id))
+    return _page(request, "parameter_set.html", f"Parameter set {set_id}", page_data.of_parameter_sets(set_id))
 
 
 @router.get("/compare")
 def compare_page(request: Request) -> HTMLResponse:
     """Show two parameter sets side by side."""
     asked = [one for name in ("first", "second") if (one := request.query_params.get(name))]
-    return _page(request, "compare.html", "Compare parameter sets", brought.of_parameter_sets(*dict.fromkeys(asked)))
+    return _page(request, "compare.html", "Compare parameter sets", page_data.of_parameter_sets(*dict.fromkeys(asked)))
 
 
 @router.get("/jobs")
 def jobs_page(request: Request) -> HTMLResponse:
     """Show the jobs, live."""
-    return _page(request, "jobs.html", "Jobs", brought.of_jobs)
+    return _page(request, "jobs.html", "Jobs", page_data.of_jobs)
 
 
 @router.get("/keys")
 def keys_page(request: Request) -> HTMLResponse:
     """Show the keys and the audit trail."""
-    return _page(request, "keys.html", "Keys", brought.of_keys)
+    return _page(request, "keys.html", "Keys", page_data.of_keys)
 
 
 async def form_fields(request: Request) -> dict[str, str]:

@@ -6,9 +6,8 @@ from typing import Literal
 
 from pydantic import Field
 
-from app.jobs.schemas import Identifier
+from app.http.schemas import Filter, Identifier, PageQuery, Record, Slug, UtcTime
 from app.parameter_sets.schemas import Status
-from app.schemas import Filter, PageQuery, Record, Slug, UtcTime
 
 Grade = Literal["accept", "weak", "refuse"]
 ThemeName = Literal["light", "dark"]

@@ -14,14 +14,14 @@ from typing import Final
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from app.client import Client, Record
-from app.demo.mission import SESSIONS, Pass, simulated, tle_text
+from app.client.blocking import Client, Record
 from app.demo.tables import drift_table, parameter_table, statistics_table
 from app.logs import configure_logs
 from app.server import listen, prepare, server_of
 from app.settings import Settings
 from magcal_core.errors import MagcalError
 from magcal_core.options import METHODS
+from magcal_core.simulation.dekart_mission import SESSIONS, Pass, simulated, tle_text
 from magcal_core.telemetry import write_samples
 
 SATELLITE: Final = "dekart"

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Final
 
 from rich.table import Table
 
-from app.records import ParameterSetRecord, parameter_set_record, parameter_values
+from app.records.parameter_set import ParameterSetRecord, parameter_set_record, parameter_values
 
 if TYPE_CHECKING:
-    from app.client import Record
-    from app.demo.mission import Pass
+    from app.client.blocking import Record
+    from magcal_core.simulation.dekart_mission import Pass
 
 LABELS: Final = {"bias_nt": ("b", "nT", 1), "scale": ("k", "", 5), "nonorthogonality_deg": ("e", "deg", 3)}
 """Group of parameters -> its letter, its unit and its decimals."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from fastapi import APIRouter
 
-from app.auth import Reader
-from app.body import StrictJsonRoute
+from app.access.authentication import Reader
 from app.field.schemas import FieldRead, FieldRequest
-from app.schemas import core_times
+from app.http.schemas import core_times
+from app.http.strict_json import StrictJsonRoute
 from magcal_core.field.models import field_model
-from magcal_core.orbit.frames import convert_position
+from magcal_core.orbit.earth.frames import convert_position
 
 router = APIRouter(route_class=StrictJsonRoute, tags=["field"])
 

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from app.schemas import Body, Record, UtcTime
+from app.http.schemas import Body, Record, UtcTime
 
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
 Position = Annotated[list[Coordinate], Field(min_length=3, max_length=3)]

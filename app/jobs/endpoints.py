@@ -10,21 +10,21 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 
-from app.auth import Operator, Reader, is_still_valid
-from app.body import StrictJsonRoute
-from app.idempotency import KeyHeader, fingerprint, recall, remember
-from app.jobs.kinds import JobRequest
+from app.access.authentication import Operator, Reader, is_still_valid
+from app.access.caller import Caller
+from app.access.idempotency import KeyHeader, fingerprint, recall, remember
+from app.http.dependencies import Blobs, Config, Db
+from app.http.schemas import Page
+from app.http.strict_json import StrictJsonRoute
+from app.http.tables import TABLES, table_response, wanted_format, write_table
+from app.jobs.dependencies import Jobs
+from app.jobs.kinds.registry import JobRequest
+from app.jobs.kinds.result_series import read_series
 from app.jobs.repository import JobRepository
 from app.jobs.reprocessing import submit_reprocessing
 from app.jobs.schemas import JobQuery, JobRead, ReprocessingBody
-from app.jobs.series import read_series
-from app.keys.repository import Caller
-from app.parameter_sets.residuals import from_bytes
 from app.parameter_sets.schemas import TableQuery
-from app.resources import Blobs, Config, Db, Jobs
-from app.schemas import Page
-from app.sessions.endpoints import TABLES
-from app.tabular import table_response, wanted_format, write_table
+from app.records.arrow import from_bytes
 
 router = APIRouter(route_class=StrictJsonRoute, tags=["jobs"])
 

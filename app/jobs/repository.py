@@ -7,16 +7,17 @@ from collections.abc import Sequence
 from sqlalchemy import ColumnElement, func, or_, select, true, update
 from sqlalchemy.orm import Session
 
-from app.database import DatabaseNow, new_id, utc_now
+from app.access.audit_trail import record_event
+from app.access.caller import Caller
 from app.errors import ConflictError, NotFoundError, QuotaError
-from app.jobs.kinds import JOB_KINDS
-from app.jobs.port import Queue
+from app.http.paging import fetch_page
+from app.jobs.fair_order import take_turns
+from app.jobs.kinds.registry import JOB_KINDS
+from app.jobs.queue import Queue
 from app.jobs.reprocessing import KIND, cancel_reprocessing, progress_of, settle
 from app.jobs.schemas import JobBody, JobQuery, JobRead
 from app.jobs.tables import Job, JobSession
-from app.jobs.turns import take_turns
-from app.keys.repository import Caller, record_event
-from app.paging import fetch_page
+from app.storage.database import DatabaseNow, new_id, utc_now
 
 
 class JobRepository:

@@ -11,16 +11,17 @@ from typing import Final
 from sqlalchemy import exists, func, select, update
 from sqlalchemy.orm import Session
 
-from app.database import DatabaseNow, new_id, utc_now
+from app.access.audit_trail import record_event
+from app.access.caller import Caller
 from app.errors import ConflictError
-from app.jobs.port import Queue
+from app.jobs.fair_order import take_turns
+from app.jobs.queue import Queue
 from app.jobs.schemas import ReprocessingBody
 from app.jobs.tables import Job, JobSession
-from app.jobs.turns import take_turns
-from app.keys.repository import Caller, record_event
 from app.satellites.repository import SatelliteRepository, within_reach
 from app.satellites.tables import Magnetometer
 from app.sessions.tables import TelemetrySession
+from app.storage.database import DatabaseNow, new_id, utc_now
 from magcal_core.options import CalibrationOptions
 
 KIND: Final = "reprocessing"

@@ -8,18 +8,18 @@ from typing import Annotated, Final
 from fastapi import APIRouter, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from app.auth import OrbitSource, Reader
-from app.body import StrictJsonRoute
-from app.keys.repository import Caller
-from app.orbits.choice import chosen
+from app.access.authentication import OrbitSource, Reader
+from app.access.caller import Caller
+from app.http.dependencies import Config, Db
+from app.http.receiving import receive
+from app.http.schemas import Page
+from app.http.strict_json import StrictJsonRoute
+from app.orbits.nearest import chosen
 from app.orbits.parsing import parse_message
 from app.orbits.repository import OrbitRepository
 from app.orbits.schemas import OrbitDetail, OrbitList, OrbitQuery, OrbitRead
 from app.orbits.tables import OrbitRow
-from app.resources import Config, Db
-from app.retry import retried
-from app.schemas import Page
-from app.sessions.upload import receive
+from app.storage.retry import retried
 
 router = APIRouter(route_class=StrictJsonRoute, prefix="/satellites/{satellite_id}/orbits", tags=["orbits"])
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from app.errors import UnsupportedMediaError
 from magcal_core.orbit import Orbit
-from magcal_core.orbit.frames import teme_to_itrf
-from magcal_core.orbit.sgp4 import Sgp4Orbit
+from magcal_core.orbit.earth.frames import teme_to_itrf
+from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
 from magcal_core.orbit.sources import OrbitSource, parse_orbits, parse_sources
 
 MEDIA_TYPES: Final = frozenset(

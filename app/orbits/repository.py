@@ -10,15 +10,16 @@ from sqlalchemy import select
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
-from app.database import new_id, utc_now
+from app.access.audit_trail import record_event
+from app.access.caller import Caller
 from app.errors import NotFoundError
-from app.keys.repository import Caller, record_event
+from app.http.paging import fetch_page
 from app.orbits.parsing import ParsedOrbit
 from app.orbits.schemas import OrbitQuery
 from app.orbits.tables import OrbitRow
-from app.paging import fetch_page
 from app.satellites.repository import SatelliteRepository
-from app.store import digest
+from app.storage.database import new_id, utc_now
+from app.storage.store import digest
 
 MOST_CANDIDATES: Final = 400
 ROWS_AT_ONCE: Final = 500

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field, JsonValue
 
-from app.schemas import PageQuery, Record, UtcTime
+from app.http.schemas import PageQuery, Record, UtcTime
 
 OrbitFormat = Literal["tle", "omm", "oem", "state"]
 

@@ -7,8 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from magcal_core.arrays import Floats
 from magcal_core.errors import Fault, OptionError, TelemetryFormatError
-from magcal_core.regressor_columns import (
+from magcal_core.samples import Samples
+from magcal_core.sensor.model import SensorModel, lower_triangular_gauge
+from magcal_core.sensor.regressors import (
     OF_SCALE,
     is_of_scale,
     is_response,
@@ -18,8 +21,6 @@ from magcal_core.regressor_columns import (
     regressor_of,
     source_of,
 )
-from magcal_core.samples import Floats, Samples
-from magcal_core.sensor import SensorModel, lower_triangular_gauge
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,15 +7,18 @@ from typing import Annotated, Any, Final
 from fastapi import APIRouter, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from app.auth import Operator, Reader
-from app.body import StrictJsonRoute
-from app.conditional import UNCHANGED, is_known, tagged_json, unchanged
-from app.keys.repository import Caller
+from app.access.authentication import Operator, Reader
+from app.access.caller import Caller
+from app.http.dependencies import Blobs, Config, Db
+from app.http.entity_tags import UNCHANGED, is_known, tagged_json, unchanged
+from app.http.receiving import Upload, receive
+from app.http.schemas import Page
+from app.http.strict_json import StrictJsonRoute
+from app.http.tables import TABLES, TELEMETRY_BODY, table_response, wanted_format, write_table
 from app.parameter_sets.correction import Correction
 from app.parameter_sets.export import EXPORTERS, exported
-from app.parameter_sets.listing import found, listed, part
+from app.parameter_sets.json_listing import found, listed, part
 from app.parameter_sets.repository import ParameterSetRepository
-from app.parameter_sets.residuals import from_bytes
 from app.parameter_sets.schemas import (
     ActivateBody,
     ApplyQuery,
@@ -25,15 +28,11 @@ from app.parameter_sets.schemas import (
     TableQuery,
 )
 from app.parameter_sets.tables import ParameterSet
-from app.resources import Blobs, Config, Db
+from app.records.arrow import from_bytes
 from app.satellites.tables import Magnetometer
-from app.schemas import Page
-from app.sessions.endpoints import TABLES, TELEMETRY_BODY
-from app.sessions.reading import PLAIN, SensorReading
-from app.sessions.upload import Upload, receive
+from app.sessions.sensor_reading import PLAIN, SensorReading
 from app.settings import Settings
-from app.store import residuals_key
-from app.tabular import table_response, wanted_format, write_table
+from app.storage.store import residuals_key
 from magcal_core.samples import Samples
 from magcal_core.telemetry import MEDIA_TYPES, write_samples
 

@@ -14,11 +14,12 @@ from typing import Final
 import numpy as np
 import yaml
 
+from app.http.schemas import utc_text
 from app.parameter_sets.correction import rotation_of
 from app.parameter_sets.schemas import ParameterSetRead
-from app.parameter_sets.worked import COLUMN, formula, rotation_of_symmetric, worked
-from app.schemas import utc_text
-from magcal_core.sensor import SensorModel, convert
+from app.parameter_sets.worked_example import COLUMN, formula, rotation_of_symmetric, worked
+from magcal_core.sensor.conventions import convert
+from magcal_core.sensor.model import SensorModel
 
 Document = Mapping[str, object]
 

@@ -10,19 +10,19 @@ from fastapi import APIRouter, Query
 from pydantic import Field
 from sqlalchemy.orm import Session
 
-from app.auth import Reader
-from app.body import StrictJsonRoute
-from app.keys.repository import Caller
-from app.orbits.choice import chosen
+from app.access.authentication import Reader
+from app.access.caller import Caller
+from app.http.concurrency import Places
+from app.http.dependencies import Db
+from app.http.schemas import Filter, Record
+from app.http.strict_json import StrictJsonRoute
+from app.orbits.nearest import chosen
+from app.orbits.osculating_shape import OrbitShape, shape_of
 from app.orbits.repository import OrbitRepository
-from app.orbits.shape import OrbitShape, shape_of
 from app.parameter_sets.repository import ParameterSetRepository
 from app.parameter_sets.tables import ParameterSet
-from app.places import Places
-from app.pointing import ImpactRecord, circle, pointing_of
-from app.records import parameter_set_record
-from app.resources import Db
-from app.schemas import Filter, Record
+from app.records.parameter_set import parameter_set_record
+from app.reporting.pointing import ImpactRecord, circle, pointing_of
 
 if TYPE_CHECKING:
     from magcal_core.attitude.circular import CircularOrbit

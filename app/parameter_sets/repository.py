@@ -9,15 +9,16 @@ from typing import Final
 from sqlalchemy import ColumnElement, Select, case, or_, select
 from sqlalchemy.orm import Session
 
-from app.database import new_id, utc_now
+from app.access.audit_trail import record_event
+from app.access.caller import Caller
 from app.errors import ConflictError, NotFoundError, RefusedVerdictError
-from app.keys.repository import Caller, record_event
-from app.paging import fetch_page
+from app.http.paging import fetch_page
 from app.parameter_sets.schemas import ParameterSetQuery, ParameterSetRead
 from app.parameter_sets.tables import Activation, ParameterSet, ParameterSetSession
 from app.satellites.repository import within_reach
 from app.satellites.tables import Magnetometer
-from app.store import Store, digest, moments_key, residuals_key
+from app.storage.database import new_id, utc_now
+from app.storage.store import Store, digest, moments_key, residuals_key
 
 KEYS: Final[Mapping[str, Callable[[str], str]]] = {"residuals": residuals_key, "moments": moments_key}
 """What is kept beside a parameter set's row, and under which key."""

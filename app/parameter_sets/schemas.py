@@ -6,8 +6,7 @@ from typing import Literal
 
 from pydantic import ConfigDict, Field, JsonValue
 
-from app.jobs.schemas import Identifier
-from app.schemas import Body, Filter, Name, PageQuery, Record, Slug, UtcTime
+from app.http.schemas import Body, Filter, Identifier, Name, PageQuery, Record, Slug, UtcTime
 
 Status = Literal["candidate", "active", "retired"]
 TableFormat = Literal["csv", "ndjson", "json", "parquet"]

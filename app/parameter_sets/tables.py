@@ -7,7 +7,7 @@ from datetime import datetime
 from sqlalchemy import CheckConstraint, ForeignKey, ForeignKeyConstraint, Index, String, text
 from sqlalchemy.orm import Mapped, mapped_column
 
-from app.database import Base, JsonColumn
+from app.storage.database import Base, JsonColumn
 
 
 class ParameterSet(Base):

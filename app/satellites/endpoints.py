@@ -7,9 +7,10 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Response
 
-from app.auth import Operator, Reader
-from app.body import StrictJsonRoute
-from app.resources import Db
+from app.access.authentication import Operator, Reader
+from app.http.dependencies import Db
+from app.http.schemas import Page, PageQuery
+from app.http.strict_json import StrictJsonRoute
 from app.satellites.repository import SatelliteRepository
 from app.satellites.schemas import (
     MagnetometerChange,
@@ -21,7 +22,6 @@ from app.satellites.schemas import (
     SatelliteRead,
 )
 from app.satellites.tables import Magnetometer, Satellite
-from app.schemas import Page, PageQuery
 
 router = APIRouter(route_class=StrictJsonRoute, prefix="/satellites", tags=["satellites"])
 

@@ -7,13 +7,14 @@ from collections.abc import Sequence
 from sqlalchemy import ColumnElement, select, true
 from sqlalchemy.orm import InstrumentedAttribute, Session
 
-from app.database import utc_now
+from app.access.audit_trail import record_event
+from app.access.caller import Caller
 from app.errors import ConflictError, NotFoundError
-from app.keys.repository import Caller, record_event
-from app.paging import fetch_page
+from app.http.paging import fetch_page
+from app.http.schemas import PageQuery
 from app.satellites.schemas import MagnetometerChange, MagnetometerCreate, SatelliteChange, SatelliteCreate
 from app.satellites.tables import Magnetometer, Satellite
-from app.schemas import PageQuery
+from app.storage.database import utc_now
 
 
 def within_reach(column: InstrumentedAttribute[str], caller: Caller) -> ColumnElement[bool]:

@@ -7,8 +7,8 @@ from typing import Annotated, Literal, Self
 from pydantic import BeforeValidator, Field, StringConstraints, WithJsonSchema, model_validator
 from pydantic_core import PydanticCustomError
 
-from app.jobs.schemas import CalibrationOptionsBody
-from app.schemas import Body, Name, Record, Slug, UtcTime
+from app.http.schemas import Body, Name, Record, Slug, UtcTime
+from app.records.calibration_options import CalibrationOptionsBody
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 CatalogId = Annotated[str, StringConstraints(pattern=r"^[A-Z0-9-]{1,16}$")]

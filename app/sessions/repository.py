@@ -13,18 +13,19 @@ from sqlalchemy import and_, bindparam, func, select
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
-from app.database import new_id, utc_now
+from app.access.audit_trail import NEW_EVENT, event_of, record_event
+from app.access.caller import Caller
 from app.errors import ConflictError, ExpiredError, NotFoundError, QuotaError
-from app.keys.repository import NEW_EVENT, Caller, event_of, record_event
-from app.paging import fetch_page
+from app.http.paging import fetch_page
+from app.http.receiving import Upload
 from app.satellites.repository import within_reach
 from app.satellites.tables import Magnetometer, Satellite
-from app.sessions.columns import decode, encode
-from app.sessions.reading import column_names
+from app.sessions.chunk_format import decode, encode
 from app.sessions.schemas import SessionQuery
+from app.sessions.sensor_reading import column_names
 from app.sessions.tables import Chunk, TelemetrySession
-from app.sessions.upload import Upload
-from app.store import Packed, Store, columns_key, digest, raw_key
+from app.storage.database import new_id, utc_now
+from app.storage.store import Packed, Store, columns_key, digest, raw_key
 from magcal_core.samples import Samples
 from magcal_core.telemetry import Telemetry, merge_samples
 

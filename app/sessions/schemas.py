@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field, JsonValue
 
-from app.schemas import Filter, PageQuery, Record, Slug, UtcTime
+from app.http.schemas import Filter, PageQuery, Record, Slug, UtcTime
 
 
 class ChunkRead(Record):

@@ -15,7 +15,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import Mapped, mapped_column
 
-from app.database import Base, JsonColumn
+from app.storage.database import Base, JsonColumn
 
 
 class TelemetrySession(Base):

@@ -7,13 +7,11 @@ from typing import Final
 
 import erfa
 import numpy as np
-from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats
 from magcal_core.constants import EARTH_GM_KM3_S2, EARTH_RADIUS_EGM96_KM, EARTH_ROTATION_RAD_S
 from magcal_core.errors import InputError
 from magcal_core.field import FieldModel
-
-Floats = NDArray[np.float64]
 
 EPOCH_UTC: Final = np.datetime64("2020-01-01T00:00:00", "ns")
 """Start of a simulation where none is given."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats
 from magcal_core.attitude.circular import CircularOrbit
 from magcal_core.attitude.rom import FieldAlongOrbit, simulate_rom
 from magcal_core.attitude.scenario import Gains, RomScenario
@@ -16,9 +16,7 @@ from magcal_core.attitude.sensing import Magnetometer
 from magcal_core.errors import InputError
 from magcal_core.field import FieldModel
 from magcal_core.field.models import field_model
-from magcal_core.sensor import SensorModel
-
-Floats = NDArray[np.float64]
+from magcal_core.sensor.model import SensorModel
 
 ORBITS: Final = tuple(
     CircularOrbit(altitude_km=500.0, inclination_rad=float(np.deg2rad(inclination_deg)), greenwich_rad=0.0)

@@ -12,13 +12,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats
 from magcal_core.attitude.circular import CircularOrbit
 from magcal_core.attitude.plant import Body
 from magcal_core.attitude.scenario import Gains
 from magcal_core.errors import InputError
 from magcal_core.field import FieldModel
-
-Floats = NDArray[np.float64]
 
 STABLE_DAMPING_RATIO: Final = 0.5
 """Below it the rotation about the field grows."""

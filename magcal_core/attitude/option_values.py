@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 import numpy as np
 
 from magcal_core.errors import Fault, InputError
-from magcal_core.sensor import SensorModel
+from magcal_core.sensor.model import SensorModel
 
 if TYPE_CHECKING:
     from magcal_core.attitude.options import RomOptions

@@ -19,8 +19,8 @@ from magcal_core.attitude.sensing import Gyro, Magnetometer
 from magcal_core.errors import Fault, InputError, OptionError
 from magcal_core.field import FieldModel
 from magcal_core.field.models import field_model
-from magcal_core.sensor import SensorModel
-from magcal_core.series import extreme_indices
+from magcal_core.numerics.time_series import extreme_indices
+from magcal_core.sensor.model import SensorModel
 
 ALIASES: Final[Mapping[str, str]] = {"start": "start_deg", "turn": "turn_deg", "kp": "kp_nm", "kd": "kd_nms"}
 """Names of the command line's options that a job may use for those with a unit."""

@@ -11,11 +11,10 @@ from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats
 from magcal_core.errors import InputError
 
-Floats = NDArray[np.float64]
 Vector: TypeAlias = tuple[float, float, float]
 Quaternion: TypeAlias = tuple[float, float, float, float]
 State: TypeAlias = tuple[Quaternion, Vector, Vector]

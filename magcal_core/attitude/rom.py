@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats
 from magcal_core.attitude.law import DEGENERATE, GUARDED, Law, command
 from magcal_core.attitude.plant import (
     Mechanics,
@@ -25,8 +26,6 @@ from magcal_core.attitude.plant import (
 )
 from magcal_core.attitude.rotation import euler_matrix, quaternion_from_matrix, rotate
 from magcal_core.attitude.scenario import RomScenario
-
-Floats = NDArray[np.float64]
 
 SETTLING_LEVELS_DEG: Final = (10, 5, 1)
 """Errors, deg, for which a result says when the attitude got below them for good."""

@@ -10,11 +10,9 @@ from typing import Final
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats
 from magcal_core.errors import InputError
-
-Floats = NDArray[np.float64]
 
 _UNIT_TOLERANCE: Final = 1e-6
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import Final, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats
 from magcal_core.attitude.circular import CircularOrbit
 from magcal_core.attitude.plant import Body
 from magcal_core.attitude.programme import Turn
@@ -15,7 +15,6 @@ from magcal_core.attitude.sensing import Gyro, Magnetometer
 from magcal_core.errors import InputError
 from magcal_core.field import FieldModel
 
-Floats = NDArray[np.float64]
 Form = Literal["corrected", "printed"]
 StartRate = Literal["inertial", "orbital", "body"]
 

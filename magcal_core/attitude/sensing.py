@@ -6,15 +6,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats
 from magcal_core.attitude.rotation import euler_matrix
 from magcal_core.errors import InputError
 
 if TYPE_CHECKING:
-    from magcal_core.sensor import SensorModel
+    from magcal_core.sensor.model import SensorModel
 
-Floats = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 _NONE: Triple = (0.0, 0.0, 0.0)

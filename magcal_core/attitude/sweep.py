@@ -7,12 +7,10 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats
 from magcal_core.attitude.rom import FieldAlongOrbit, simulate_rom
 from magcal_core.attitude.scenario import RomScenario
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

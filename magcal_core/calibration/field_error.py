@@ -15,13 +15,11 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from magcal_core.calibration.jacobians import matrix_jacobian
-from magcal_core.calibration.result import Parameters
-from magcal_core.sensor import inverse_lower, matrix_of_parameters
-
-Floats = NDArray[np.float64]
+from magcal_core.arrays import Floats
+from magcal_core.sensor.model import inverse_lower, matrix_of_parameters
+from magcal_core.sensor.parameterisation import matrix_jacobian
+from magcal_core.sensor.parameters import Parameters
 
 FIELD_NT: Final = 40_000.0
 """Field at which errors are taken, nT."""

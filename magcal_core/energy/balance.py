@@ -7,22 +7,19 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats, Times
 from magcal_core.energy.options import EnergyOptions
 from magcal_core.energy.recovery import Recovery, recover
 from magcal_core.energy.terms import Track, balance_terms, hamiltonian_m2_s2
 from magcal_core.errors import OrbitFormatError
 from magcal_core.orbit import Orbit
-from magcal_core.orbit.bodies import default_ephemeris
-from magcal_core.orbit.forces import ExponentialDrag, force_tables
-from magcal_core.orbit.frames import Frame
-from magcal_core.orbit.gravity import egm96
-from magcal_core.orbit.numerical import NumericalOrbit
-from magcal_core.orbit.timescales import nanoseconds
-
-Floats = NDArray[np.float64]
-Times = NDArray[np.datetime64]
+from magcal_core.orbit.earth.bodies import default_ephemeris
+from magcal_core.orbit.earth.frames import Frame
+from magcal_core.orbit.earth.timescales import nanoseconds
+from magcal_core.orbit.propagators.forces import ExponentialDrag, force_tables
+from magcal_core.orbit.propagators.gravity import egm96
+from magcal_core.orbit.propagators.numerical import NumericalOrbit
 
 INTEGRATION_RTOL: Final = 1e-13
 """Tolerance of orbits whose balance is taken: H then keeps to 1e-5 m2/s2 a day."""

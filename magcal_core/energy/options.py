@@ -9,8 +9,8 @@ from typing import Final
 
 from magcal_core.energy.terms import FORMS
 from magcal_core.errors import Fault, OptionError
-from magcal_core.orbit.forces import RotationName
-from magcal_core.orbit.gravity import MAX_DEGREE
+from magcal_core.orbit.propagators.forces import RotationName
+from magcal_core.orbit.propagators.gravity import MAX_DEGREE
 
 METHODS: Final = ("least-squares", "collocation", "semi-analytic")
 """Ways to recover coefficients."""

@@ -6,16 +6,20 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from magcal_core.arrays import Floats
 from magcal_core.energy.options import EnergyOptions
 from magcal_core.energy.semi_analytic import semi_analytic_coefficients
 from magcal_core.energy.terms import FORMS, M2_PER_KM2, Series, Track, kinetic_m2_s2, rotation_m2_s2
 from magcal_core.errors import NotObservableError, TooFewSamplesError
-from magcal_core.orbit.gravity import GravityField, coefficient_index, coefficients_of, field_of, normal_field
-
-Floats = NDArray[np.float64]
+from magcal_core.orbit.propagators.gravity import (
+    GravityField,
+    coefficient_index,
+    coefficients_of,
+    field_of,
+    normal_field,
+)
 
 KAULA: Final = 1e-5
 """Kaula's rule: a normalised coefficient of degree n has a spread of 1e-5/n^2."""

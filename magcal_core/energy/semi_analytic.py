@@ -5,16 +5,13 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from magcal_core.arrays import Complexes, Floats
 from magcal_core.energy.terms import M2_PER_KM2, Track
 from magcal_core.errors import NotObservableError
-from magcal_core.orbit.forces import cip_axis_gcrf
-from magcal_core.orbit.gravity import GravityField, coefficient_index, field_of
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from magcal_core.orbit.propagators.forces import cip_axis_gcrf
+from magcal_core.orbit.propagators.gravity import GravityField, coefficient_index, field_of
 
 MAX_ITERATIONS: Final = 60
 

@@ -8,11 +8,11 @@ from types import MappingProxyType
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_simpson
 
+from magcal_core.arrays import Floats
 from magcal_core.constants import EARTH_RADIUS_EGM96_KM, EARTH_ROTATION_RAD_S, MOON_GM_KM3_S2, SUN_GM_KM3_S2
-from magcal_core.orbit.forces import (
+from magcal_core.orbit.propagators.forces import (
     LOVE_NUMBER_K2,
     NODE_S,
     ForceTables,
@@ -20,9 +20,8 @@ from magcal_core.orbit.forces import (
     gcrf_to_itrf_matrices,
     sun_moon_positions_km,
 )
-from magcal_core.orbit.gravity import GravityField, normal_field
+from magcal_core.orbit.propagators.gravity import GravityField, normal_field
 
-Floats = NDArray[np.float64]
 Series = Mapping[str, Floats]
 
 M2_PER_KM2: Final = 1e6

@@ -8,17 +8,18 @@ from typing import Final
 
 import numpy as np
 
-from magcal_core.calibration import ESTIMATORS
+from magcal_core.calibration.diagnosis.wrong_input.suspicions import Suspicion
+from magcal_core.calibration.estimators.contract import Estimator, Fit, FitSettings
 from magcal_core.calibration.estimators.loss import LossFit, fit_under_loss
-from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations
-from magcal_core.calibration.suspicions import Suspicion
+from magcal_core.calibration.estimators.registry import ESTIMATORS
+from magcal_core.calibration.terms.clock import AUTO_AGE_DAYS, ClockFit, fit_with_clock
 from magcal_core.calibration.terms.locked_clock import LockedClock
 from magcal_core.calibration.terms.trimmed_clock import TrimmedClock, clock_rows, trimmed_clock
-from magcal_core.calibration.time_offset import AUTO_AGE_DAYS, ClockFit, fit_with_clock
 from magcal_core.errors import ModelRangeError, OptionError, OrbitMissingError
 from magcal_core.estimation.estimate import Estimate, Prepared, still
 from magcal_core.estimation.session import LockedSession
-from magcal_core.referenced import MovableObservations
+from magcal_core.observations import Observations
+from magcal_core.reference.referenced_samples import MovableObservations
 
 AUTO_LARGEST_S: Final = 120.0
 """Largest offset that is taken unasked, s: a larger one is suspected."""

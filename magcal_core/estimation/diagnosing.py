@@ -7,17 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from magcal_core.calibration.attitude_suspicions import DOUBTED_RATIO
 from magcal_core.calibration.diagnosis.cause import Diagnosis
 from magcal_core.calibration.diagnosis.search import WORTH_A_LOOK, Circumstances, diagnosis_of
-from magcal_core.calibration.result import Reason, Verdict
-from magcal_core.calibration.suspicions import suspicions
+from magcal_core.calibration.diagnosis.wrong_input.attitude import DOUBTED_RATIO
+from magcal_core.calibration.diagnosis.wrong_input.suspicions import suspicions
+from magcal_core.calibration.reasons import Reason, Verdict
 from magcal_core.data_quality import DataQuality
 from magcal_core.errors import EstimationError, FrameError, MagcalError, NotObservableError, WrongInputError
 from magcal_core.estimation.estimate import Estimate
 from magcal_core.estimation.judging import Judged
 from magcal_core.orbit import Orbit
-from magcal_core.referenced import Referenced
+from magcal_core.reference.referenced_samples import Referenced
 
 
 def diagnosed(estimate: Estimate, judged: Judged, candidates: Sequence[Orbit]) -> Diagnosis | None:

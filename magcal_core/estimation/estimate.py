@@ -7,24 +7,25 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.calibration import ESTIMATORS
+from magcal_core.calibration.estimators.contract import Estimator, Fit, FitSettings
 from magcal_core.calibration.estimators.loss import LossFit, LossUse
-from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations
-from magcal_core.calibration.reference_errors import ReferenceShift
-from magcal_core.calibration.regressors import Ablation
-from magcal_core.calibration.scale_terms import WithScaleTerms
+from magcal_core.calibration.estimators.registry import ESTIMATORS
+from magcal_core.calibration.estimators.scale_terms import WithScaleTerms
+from magcal_core.calibration.terms.clock import ClockFit
 from magcal_core.calibration.terms.coarse_clock import CoarseClock
 from magcal_core.calibration.terms.full_matrix import FullMatrix
 from magcal_core.calibration.terms.locked import LockedTerms
 from magcal_core.calibration.terms.locked_clock import LockedClock
 from magcal_core.calibration.terms.regressor_candidates import RegressorCandidate, expanded
+from magcal_core.calibration.terms.regressor_selection import Ablation
 from magcal_core.calibration.terms.trimmed_clock import TrimmedClock
-from magcal_core.calibration.time_offset import ClockFit
-from magcal_core.calibration.uncertainty import HonestCovariance
+from magcal_core.calibration.uncertainty.consider_errors import ReferenceShift
+from magcal_core.calibration.uncertainty.honest_covariance import HonestCovariance
 from magcal_core.errors import OptionError
 from magcal_core.estimation.session import LockedSession
+from magcal_core.observations import Observations
 from magcal_core.options import CalibrationOptions
-from magcal_core.referenced import Referenced
+from magcal_core.reference.referenced_samples import Referenced
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,12 +8,12 @@ from typing import Final
 import numpy as np
 
 from magcal_core.calibration.diagnosis.gyro_mounting import GyroMounting, GyroSession, gyro_mounting
-from magcal_core.calibration.fit import corrected_nt
-from magcal_core.calibration.mounting import Mounting
+from magcal_core.calibration.diagnosis.mounting import Mounting
 from magcal_core.errors import OptionError
 from magcal_core.estimation.estimate import Estimate
 from magcal_core.estimation.inertial_field import inertial_field_nt
-from magcal_core.sensor import SensorModel
+from magcal_core.observations import corrected_nt
+from magcal_core.sensor.model import SensorModel
 
 RAD_S: Final = {"deg/s": np.pi / 180.0, "rad/s": 1.0}
 _FEWEST: Final = 40

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.orbit.frames import gcrf_to_itrf_matrix
-from magcal_core.referenced import Referenced
-
-Floats = NDArray[np.float64]
+from magcal_core.arrays import Floats
+from magcal_core.orbit.earth.frames import gcrf_to_itrf_matrix
+from magcal_core.reference.referenced_samples import Referenced
 
 
 def inertial_field_nt(referenced: Referenced, rows: NDArray[np.bool_]) -> Floats | None:

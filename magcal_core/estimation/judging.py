@@ -6,17 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_core.calibration.attitude_suspicions import DOUBTED_RATIO, QUATERNION_RATIO
-from magcal_core.calibration.error_budget import ReferenceSource
+from magcal_core.calibration.diagnosis.wrong_input.attitude import DOUBTED_RATIO, QUATERNION_RATIO
+from magcal_core.calibration.diagnosis.wrong_input.suspicions import ClockFinding, Suspicion, suspicions
 from magcal_core.calibration.estimators.loss import counted_weights
-from magcal_core.calibration.judgement import Basis, Circumstances, Judgement, judgement_of, require_determined
-from magcal_core.calibration.monitoring import ActiveSet
-from magcal_core.calibration.suspicions import ClockFinding, Suspicion, suspicions
+from magcal_core.calibration.sessions.monitoring import ActiveSet
+from magcal_core.calibration.verdict.assessment import Basis, Circumstances, Judgement, judgement_of, require_determined
 from magcal_core.data_quality import DataQuality
 from magcal_core.estimation.clock import far_suspicion
 from magcal_core.estimation.estimate import Estimate
-from magcal_core.reference import TELEMETRY_POSITION
-from magcal_core.referenced import Referenced
+from magcal_core.reference.columns import TELEMETRY_POSITION
+from magcal_core.reference.error_budget import ReferenceSource
+from magcal_core.reference.referenced_samples import Referenced
 from magcal_core.samples import SampleFlag
 
 

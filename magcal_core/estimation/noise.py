@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from magcal_core.calibration.reference_errors import reference_shifts
 from magcal_core.calibration.terms.white_noise import may_matter, with_white_noise
+from magcal_core.calibration.uncertainty.consider_errors import reference_shifts
 from magcal_core.estimation.clock import with_offset
 from magcal_core.estimation.estimate import Estimate, still
 

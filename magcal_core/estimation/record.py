@@ -8,27 +8,27 @@ from dataclasses import replace
 
 import numpy as np
 
-from magcal_core.calibration.bootstrap import bootstrap
 from magcal_core.calibration.diagnosis.cause import Diagnosis
-from magcal_core.calibration.error_budget import error_budget
-from magcal_core.calibration.fit import Observations
-from magcal_core.calibration.judgement import Judgement, extras_of, matrix_standard_errors
-from magcal_core.calibration.moments import MAX_COLUMNS, FitMoments, moments_of_fit
-from magcal_core.calibration.moments import METHODS as MOMENTS_METHODS
-from magcal_core.calibration.mounting import mounting_of
-from magcal_core.calibration.regressors import usable_columns
-from magcal_core.calibration.residual_warnings import residual_warnings
+from magcal_core.calibration.diagnosis.device_steps import steps_of
+from magcal_core.calibration.diagnosis.mounting import mounting_of
+from magcal_core.calibration.diagnosis.residual_table import residual_table
+from magcal_core.calibration.diagnosis.residual_warnings import residual_warnings
+from magcal_core.calibration.refit.moments import MAX_COLUMNS, FitMoments, moments_of_fit
+from magcal_core.calibration.refit.moments import METHODS as MOMENTS_METHODS
 from magcal_core.calibration.result import Calibration
-from magcal_core.calibration.steps import steps_of
+from magcal_core.calibration.terms.clock import AUTO_AGE_DAYS, ClockFit, with_rates
 from magcal_core.calibration.terms.locked_clock import LockedClock
-from magcal_core.calibration.time_offset import AUTO_AGE_DAYS, ClockFit, with_rates
+from magcal_core.calibration.terms.regressor_selection import usable_columns
+from magcal_core.calibration.uncertainty.bootstrap import bootstrap
+from magcal_core.calibration.verdict.assessment import Judgement, extras_of, matrix_standard_errors
 from magcal_core.errors import OrbitMissingError
 from magcal_core.estimation.estimate import Estimate, still
 from magcal_core.estimation.gyros import gyros_of, mounting_by_gyros
 from magcal_core.estimation.judging import Judged, source_of_reference
-from magcal_core.regressor_columns import is_of_scale
-from magcal_core.residual_table import residual_table
-from magcal_core.sensor import SensorModel
+from magcal_core.observations import Observations
+from magcal_core.reference.error_budget import error_budget
+from magcal_core.sensor.model import SensorModel
+from magcal_core.sensor.regressors import is_of_scale
 
 
 def calibration_of(

@@ -7,13 +7,11 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats
+from magcal_core.calibration.estimators.contract import Fit
 from magcal_core.calibration.estimators.robust_start import scale_of
-from magcal_core.calibration.fit import Fit, Observations, corrected_nt
-from magcal_core.calibration.observability import SIGMA_FLOOR, WEAK_BELOW
-from magcal_core.calibration.regressors import Ablation, ablation_of, choose_regressors
-from magcal_core.calibration.selection import folds_of, held_out_residuals_nt
+from magcal_core.calibration.observability.information import SIGMA_FLOOR, WEAK_BELOW
 from magcal_core.calibration.terms.regressor_candidates import (
     LAGS,
     RESPONSES,
@@ -24,15 +22,16 @@ from magcal_core.calibration.terms.regressor_candidates import (
     triples,
 )
 from magcal_core.calibration.terms.regressor_evidence import SmoothBias
+from magcal_core.calibration.terms.regressor_selection import Ablation, ablation_of, choose_regressors
+from magcal_core.calibration.uncertainty.cross_validation import folds_of, held_out_residuals_nt
 from magcal_core.errors import EstimationError
 from magcal_core.estimation.clock import with_clock
 from magcal_core.estimation.estimate import Estimate, Prepared, still
 from magcal_core.estimation.inertial_field import inertial_field_nt
 from magcal_core.estimation.start_and_loss import started
-from magcal_core.regressor_columns import lag_of, lagged_name, response_of, source_of
-from magcal_core.sensor import inverse_lower, matrix_of_parameters
-
-Floats = NDArray[np.float64]
+from magcal_core.observations import Observations, corrected_nt
+from magcal_core.sensor.model import inverse_lower, matrix_of_parameters
+from magcal_core.sensor.regressors import lag_of, lagged_name, response_of, source_of
 
 LAG_GAIN: Final = 0.01
 """Share by which a lag must lower the held-out residual below that of lag 0, in most blocks."""

@@ -10,16 +10,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.calibration.error_budget import (
-    DRIFT_KM_PER_DAY,
-    EPHEMERIS_KM,
-    EPOCH_ERROR_KM,
-    ReferenceSource,
-)
+from magcal_core.arrays import Floats
+from magcal_core.calibration.estimators.contract import Estimator, Fit, FitSettings
 from magcal_core.calibration.estimators.linear_rows import Moments
-from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations, corrected_nt
-from magcal_core.calibration.observability import ENOUGH
-from magcal_core.calibration.reference_errors import ReferenceErrors, reference_errors
+from magcal_core.calibration.observability.information import ENOUGH
 from magcal_core.calibration.terms.coarse_clock import POOR, CoarseClock, coarse_clock, quadric_share
 from magcal_core.calibration.terms.locked import Kind, LockedTerms, locked_terms
 from magcal_core.calibration.terms.locked_clock import RATE_STEP_S, ClockSearch, with_fall
@@ -30,13 +24,14 @@ from magcal_core.calibration.terms.locked_columns import (
     no_columns,
     surroundings_of,
 )
-from magcal_core.calibration.uncertainty import covered_s
+from magcal_core.calibration.uncertainty.consider_errors import ReferenceErrors, reference_errors
+from magcal_core.calibration.uncertainty.honest_covariance import covered_s
 from magcal_core.errors import ModelRangeError, OrbitMissingError
-from magcal_core.moving_reference import MovingReference
-from magcal_core.referenced import MovableObservations, Referenced
+from magcal_core.observations import Observations, corrected_nt
+from magcal_core.reference.error_budget import DRIFT_KM_PER_DAY, EPHEMERIS_KM, EPOCH_ERROR_KM, ReferenceSource
+from magcal_core.reference.referenced_samples import MovableObservations, Referenced
+from magcal_core.reference.shifted_times import MovingReference
 from magcal_core.samples import Samples
-
-Floats = NDArray[np.float64]
 
 SPEED_KM_S: Final = 7.6
 """Speed of a low orbit: what turns an error along the track into one of time."""

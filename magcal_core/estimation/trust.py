@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 from magcal_core.calibration.estimators.linear_rows import Moments
-from magcal_core.calibration.reference_errors import reference_shifts
+from magcal_core.calibration.terms.clock import ClockFit
 from magcal_core.calibration.terms.full_matrix import FullMatrix, full_matrix, is_worth_a_test, p_of_lower
 from magcal_core.calibration.terms.locked import moved_fit
 from magcal_core.calibration.terms.locked_clock import LockedClock
 from magcal_core.calibration.terms.locked_columns import no_columns
-from magcal_core.calibration.time_offset import ClockFit
-from magcal_core.calibration.uncertainty import HonestCovariance, covered_s
+from magcal_core.calibration.uncertainty.consider_errors import reference_shifts
+from magcal_core.calibration.uncertainty.honest_covariance import HonestCovariance, covered_s
 from magcal_core.estimation.estimate import Estimate, Trust
 
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats, Times
 from magcal_core.constants import EARTH_RADIUS_MAGNETIC_KM
 from magcal_core.errors import ModelRangeError
 from magcal_core.field.igrf import MIN_RADIUS_KM
-from magcal_core.orbit.timescales import Times, nanoseconds
-
-Floats = NDArray[np.float64]
+from magcal_core.orbit.earth.timescales import nanoseconds
 
 
 @dataclass(frozen=True, slots=True)

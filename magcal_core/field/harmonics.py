@@ -17,11 +17,9 @@ from dataclasses import dataclass
 from math import factorial, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats
 from magcal_core.field.shc import GaussCoefficients
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

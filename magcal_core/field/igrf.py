@@ -12,14 +12,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats, Times
 from magcal_core.constants import EARTH_RADIUS_MAGNETIC_KM
 from magcal_core.errors import ModelRangeError
 from magcal_core.field.harmonics import ComponentSeries, component_series
 from magcal_core.field.kernel import BLOCK, sum_harmonics
 from magcal_core.field.shc import GaussCoefficients, igrf_coefficients
-from magcal_core.orbit.timescales import Times, nanoseconds
-
-Floats = NDArray[np.float64]
+from magcal_core.orbit.earth.timescales import nanoseconds
 
 MAX_DEGREE: Final = 13
 MIN_RADIUS_KM: Final = 6350.0

@@ -7,10 +7,8 @@ from typing import Final
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Nanoseconds = NDArray[np.int64]
+from magcal_core.arrays import Floats, Nanoseconds
 
 BLOCK: Final = 64
 """Samples a block: its arrays stay in the first-level cache, and every inner loop runs over them as vectors."""

@@ -10,12 +10,9 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats, Nanoseconds
 from magcal_core.errors import ModelRangeError
-
-Floats = NDArray[np.float64]
-Nanoseconds = NDArray[np.int64]
 
 IGRF_SHA256: Final = {
     13: "357536152bb6f72ced3eb886def84f91a592512465c367ca5ab7bda4c36c3522",

@@ -9,12 +9,10 @@ from typing import Final, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats, Indices, Times
 from magcal_core.errors import OrbitMissingError, TleEpochError
 from magcal_core.orbit import Orbit
-from magcal_core.orbit.timescales import NS_PER_DAY, Times, nanoseconds
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from magcal_core.orbit.earth.timescales import NS_PER_DAY, nanoseconds
 
 FRESH_DAYS: Final = 3.0
 """Up to this age a TLE needs no warning, days."""

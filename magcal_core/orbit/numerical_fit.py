@@ -6,15 +6,12 @@ from collections.abc import Sequence
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats, Times
 from magcal_core.errors import OptionError, PropagationError
 from magcal_core.orbit import Orbit
 from magcal_core.orbit.choose import NO_ORBIT, BoundedOrbit, choose_orbits
-from magcal_core.orbit.numerical import NumericalOrbit
-
-Floats = NDArray[np.float64]
-Times = NDArray[np.datetime64]
+from magcal_core.orbit.propagators.numerical import NumericalOrbit
 
 FIT_DAYS: Final = 1.0
 """Length of the stretch of another orbit through which `numerical_from` lays a numerical one."""

@@ -11,11 +11,11 @@ import numpy as np
 
 from magcal_core.errors import EncodingError, Fault, OrbitFormatError
 from magcal_core.orbit import Orbit
-from magcal_core.orbit.oem import parse_oem
-from magcal_core.orbit.omm import Omm, parse_omms
-from magcal_core.orbit.sgp4 import Sgp4Orbit
-from magcal_core.orbit.state import StateVector, parse_state, state_from_mapping
-from magcal_core.orbit.tle import Tle, parse_tles
+from magcal_core.orbit.messages.oem import parse_oem
+from magcal_core.orbit.messages.omm import Omm, parse_omms
+from magcal_core.orbit.messages.state import StateVector, parse_state, state_from_mapping
+from magcal_core.orbit.messages.tle import Tle, parse_tles
+from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
 
 Kind = Literal["tle", "omm", "oem", "state"]
 
@@ -137,7 +137,7 @@ def _of_oem(text: str) -> list[OrbitSource]:
 
 
 def _of_state(state: StateVector) -> OrbitSource:
-    from magcal_core.orbit.numerical import NumericalOrbit
+    from magcal_core.orbit.propagators.numerical import NumericalOrbit
 
     orbit = NumericalOrbit.from_state(state.epoch_utc, state.r_km, state.v_km_s, state.frame)
     return OrbitSource("state", state.text, "", "", "", state.epoch_utc, None, orbit)

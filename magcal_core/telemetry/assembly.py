@@ -8,8 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats
 from magcal_core.errors import TelemetryFormatError
-from magcal_core.samples import Floats, SampleFlag, Samples
+from magcal_core.samples import SampleFlag, Samples
 from magcal_core.telemetry import quality, screen
 from magcal_core.telemetry.columns import (
     ATTITUDE,

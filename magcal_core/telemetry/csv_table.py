@@ -11,12 +11,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pacsv
 
+from magcal_core.arrays import Floats
 from magcal_core.errors import TelemetryFormatError, TelemetryValueError
 from magcal_core.telemetry import yamcs
 from magcal_core.telemetry.columns import STANDARD, ColumnMap, ColumnPlan, normal_header, plan_columns
 from magcal_core.telemetry.export import is_text, iso_texts
 from magcal_core.telemetry.faults import FaultList
-from magcal_core.telemetry.table import EMPTY_CELLS, Floats, RawTable, from_arrow
+from magcal_core.telemetry.table import EMPTY_CELLS, RawTable, from_arrow
 from magcal_core.telemetry.text import MAX_ROWS, check_lines, checked_text
 from magcal_core.telemetry.times import is_number, parse_times
 

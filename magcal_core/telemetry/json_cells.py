@@ -10,11 +10,12 @@ from typing import Final
 import numpy as np
 import pyarrow as pa
 
+from magcal_core.arrays import Floats, Nanoseconds
 from magcal_core.errors import TelemetryFormatError, TelemetryValueError, TimeError
 from magcal_core.telemetry.columns import ColumnPlan
 from magcal_core.telemetry.faults import FaultList
-from magcal_core.telemetry.table import Floats, RawTable, floats_of
-from magcal_core.telemetry.times import Nanoseconds, epoch_ns, parse_times
+from magcal_core.telemetry.table import RawTable, floats_of
+from magcal_core.telemetry.times import epoch_ns, parse_times
 
 Cells = Sequence[object]
 

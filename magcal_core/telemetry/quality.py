@@ -9,12 +9,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats, Mask
 from magcal_core.errors import TimeConflictError, TooManyBadSamplesError, UnitsError
-from magcal_core.samples import Floats, SampleFlag, Samples
+from magcal_core.samples import SampleFlag, Samples
 from magcal_core.telemetry.faults import FaultList
 from magcal_core.units import NT_PER_UNIT
-
-Mask = NDArray[np.bool_]
 
 MAX_BAD_FRACTION: Final = 0.5
 """Share of samples without a usable reading or reference past which a table is refused."""

@@ -13,11 +13,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.samples import Floats, SampleFlag, Samples
+from magcal_core.arrays import Floats, Mask
+from magcal_core.samples import SampleFlag, Samples
 from magcal_core.telemetry import quality
 from magcal_core.units import NT_PER_UNIT
 
-Mask = NDArray[np.bool_]
 Flags = NDArray[np.uint16]
 
 _EITHER_SIGN: Final = (

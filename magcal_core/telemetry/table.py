@@ -10,12 +10,12 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats, Nanoseconds
 from magcal_core.errors import TelemetryFormatError, TimeError, TimeZoneMissingError
 from magcal_core.telemetry.columns import ColumnMap, ColumnPlan
 from magcal_core.telemetry.faults import FaultList
-from magcal_core.telemetry.times import NO_TIME, Nanoseconds, epoch_ns, parse_times
+from magcal_core.telemetry.times import NO_TIME, epoch_ns, parse_times
 
-Floats = NDArray[np.float64]
 Number = TypeVar("Number", bound=np.generic)
 Kind = TypeVar("Kind", bound=np.generic)
 

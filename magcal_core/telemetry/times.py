@@ -9,10 +9,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.arrays import Nanoseconds
 from magcal_core.errors import InputError, OptionError, TimeError, TimeZoneMissingError
 from magcal_core.telemetry.faults import FaultList
-
-Nanoseconds = NDArray[np.int64]
 
 NO_TIME: Final = int(np.iinfo(np.int64).min)
 """Stands for a missing time; the bit pattern of NaT."""

@@ -15,8 +15,9 @@ from typing import Final
 
 import numpy as np
 
+from magcal_core.arrays import Floats
 from magcal_core.telemetry.columns import READING, STANDARD, TIME, ColumnMap
-from magcal_core.telemetry.table import Floats, RawTable
+from magcal_core.telemetry.table import RawTable
 
 TIME_COLUMN: Final = "Time"
 

@@ -3,7 +3,7 @@
 import sqlalchemy as sa
 from alembic import op
 
-from app.database import JsonColumn, UtcDateTime
+from app.storage.database import JsonColumn, UtcDateTime
 
 revision = "0001"
 down_revision = None

@@ -13,10 +13,10 @@ import pytest
 import structlog
 import uvicorn
 
-from app.database import Database
-from app.keys.repository import KeyRepository
+from app.access.key_repository import KeyRepository
 from app.server import listen, prepare, server_of
 from app.settings import Settings
+from app.storage.database import Database
 
 START_S = 30.0
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from app.cli.push import command
-from app.demo.mission import SESSIONS, simulated, tle_text
+from magcal_core.simulation.dekart_mission import SESSIONS, simulated, tle_text
 from magcal_core.telemetry import write_samples
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"

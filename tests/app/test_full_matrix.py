@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from app.parameter_sets.correction import Correction
-from app.parameter_sets.worked import FULL, formula, worked
+from app.parameter_sets.worked_example import FULL, formula, worked
 from magcal_core.samples import Samples
-from magcal_core.sensor import SensorModel, lower_triangular_gauge, parameters_of_matrix
+from magcal_core.sensor.model import SensorModel, lower_triangular_gauge, parameters_of_matrix
 
 MATRIX = np.array([[1.19, -0.13, 0.17], [-0.05, 1.01, 0.23], [0.17, -0.03, 1.07]])
 BIAS_NT = np.array([900.0, 4600.0, -250.0])

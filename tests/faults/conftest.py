@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from app.demo.mission import SESSIONS, simulated
+from magcal_core.simulation.dekart_mission import SESSIONS, simulated
 from magcal_core.telemetry import write_samples
 
 sys.path.insert(0, str(Path(__file__).parent))  # the processes of a site import what is planted in them from here

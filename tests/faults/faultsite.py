@@ -13,7 +13,7 @@ from pathlib import Path
 import httpx2
 from stem import LAUNCH, Forked, Stem
 
-from app.demo.mission import tle_text
+from magcal_core.simulation.dekart_mission import tle_text
 
 TRIALS = int(os.environ.get("MAGCAL_FAULT_TRIALS", "1"))
 SEED = int(os.environ.get("MAGCAL_FAULT_SEED", "1"))

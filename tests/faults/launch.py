@@ -22,10 +22,10 @@ from sqlalchemy import Connection, Engine, event
 
 from app import worker
 from app.cli.main import run
-from app.jobs import execute
-from app.jobs.calibration import CalibrationKind
-from app.jobs.kinds import JOB_KINDS
-from app.sessions.ingest import Ingest
+from app.jobs.execution import attempt
+from app.jobs.kinds.calibration import CalibrationKind
+from app.jobs.kinds.registry import JOB_KINDS
+from app.uploads.ingest import Ingest
 
 PRELOADED = ("app.server", "alembic.command", "procrastinate", "psycopg", "pyarrow.pandas_compat")
 """What a server imports by its first upload."""
@@ -68,7 +68,7 @@ def plant() -> None:
         event.listen(Engine, "before_cursor_execute", note_session)
         event.listen(Engine, "commit", lambda connection: die() if connection.info.get("has_session") else None)
     if point == "in_result":
-        execute.finish = kill_after(execute.finish)
+        attempt.finish = kill_after(attempt.finish)
     if grace_s := os.environ.get("FAULT_GRACE_S"):
         worker.STOP_GRACE_S = float(grace_s)  # type: ignore[misc]
     if pages := os.environ.get("FAULT_PAGES"):

@@ -6,8 +6,8 @@ import os
 import signal
 import time
 
-from app.jobs.calibrating import calibrate
-from app.jobs.child import Outcome, Report
+from app.jobs.kinds.calibration_child import calibrate
+from app.jobs.kinds.contract import Outcome, Report
 
 
 def slow(work: object, report: Report) -> Outcome:

@@ -17,12 +17,12 @@ from pathlib import Path
 import pytest
 from faultsite import TRIALS, Site, prepare, upload
 
-from app.database import Database
-from app.keys.repository import SYSTEM
+from app.access.caller import SYSTEM
+from app.maintenance.audit import audit
 from app.sessions.repository import SessionRepository
 from app.settings import Settings
-from app.store import open_store
-from app.upkeep.audit import audit
+from app.storage.database import Database
+from app.storage.open_store import open_store
 
 UPLOADS = max(20, TRIALS)
 CALLS = "openat,pwrite64,write,ftruncate,fsync,fdatasync,rename,unlink,sendto"

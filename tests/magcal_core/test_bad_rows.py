@@ -6,7 +6,7 @@ import pytest
 from magcal_core.errors import EstimationError
 from magcal_core.options import METHODS
 from magcal_core.pipeline import calibrate
-from tests.magcal_core.calibration.conftest import fly
+from tests.magcal_core.conftest import fly
 from tests.magcal_core.garbage import KINDS, spoiled
 
 SHARES = (0.003, 0.05, 0.2, 0.3)

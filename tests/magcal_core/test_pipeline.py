@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magcal_core.calibration import ESTIMATORS
+from magcal_core.calibration.estimators.registry import ESTIMATORS
 from magcal_core.errors import (
     FrameError,
     NotObservableError,
@@ -17,12 +17,12 @@ from magcal_core.errors import (
     TooManyBadSamplesError,
 )
 from magcal_core.options import METHODS, CalibrationOptions
-from magcal_core.orbit.sgp4 import Sgp4Orbit
-from magcal_core.orbit.tle import parse_tles
+from magcal_core.orbit.messages.tle import parse_tles
+from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
 from magcal_core.pipeline import calibrate
 from magcal_core.samples import SampleFlag
-from magcal_core.sensor import SensorModel
-from magcal_core.simulation import Disturbances, simulate
+from magcal_core.sensor.model import SensorModel
+from magcal_core.simulation.telemetry import Disturbances, simulate
 from magcal_core.telemetry import read_samples
 
 BRO4_COLUMNS = {"time": "ts", "bx": "extmag_0", "by": "extmag_1", "bz": "extmag_2"}

@@ -11,11 +11,11 @@ import pytest
 from magcal_core.attitude.rotation import attitude_matrix, from_rotation_vector
 from magcal_core.errors import OptionError
 from magcal_core.options import CalibrationOptions
-from magcal_core.orbit.sgp4 import Sgp4Orbit
+from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
 from magcal_core.pipeline import calibrate
-from magcal_core.sensor import SensorModel
+from magcal_core.sensor.model import SensorModel
 from magcal_core.sessions import calibrate_jointly, compare_sensors, monitor
-from magcal_core.simulation import Disturbances, simulate
+from magcal_core.simulation.telemetry import Disturbances, simulate
 
 SENSOR = SensorModel(np.array([2900.0, -1200.0, -1900.0]), np.array([1.03, 1.01, 1.04]), np.array([-4.0, -1.5, 7.0]))
 MOVED = replace(SENSOR, bias_nt=SENSOR.bias_nt + np.array([900.0, 0.0, -800.0]))

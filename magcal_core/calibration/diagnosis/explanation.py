@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.robust_start import Quadric
-
-Floats = NDArray[np.float64]
 
 EXPLAINED: Final = 0.02
 """Scale, as a share of |B|, below which a sensor explains the readings."""

@@ -18,10 +18,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats
 from magcal_core.attitude.rotation import attitude_matrix, from_rotation_vector
-from magcal_core.calibration.uncertainty import student_95
+from magcal_core.calibration.uncertainty.honest_covariance import student_95
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 WINDOW_S: Final = 1200.0

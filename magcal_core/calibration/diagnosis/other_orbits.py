@@ -13,16 +13,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from magcal_core.calibration.corrections import lengths
+from magcal_core.arrays import Floats, Times
 from magcal_core.calibration.diagnosis.explanation import Explanation, Rows
 from magcal_core.errors import MagcalError
 from magcal_core.field import FieldModel
+from magcal_core.numerics.vectors import lengths
 from magcal_core.orbit import Orbit
-
-Floats = NDArray[np.float64]
-Times = NDArray[np.datetime64]
 
 EARTH_RAD_S: Final = 7.292115e-5
 DAY_S: Final = 86400.0

@@ -5,15 +5,13 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from magcal_core.calibration.corrections import lengths
+from magcal_core.arrays import Floats
 from magcal_core.calibration.diagnosis.cause import Finding
 from magcal_core.calibration.diagnosis.explanation import spread_of
+from magcal_core.numerics.vectors import lengths
 from magcal_core.samples import SampleFlag, Samples
 from magcal_core.units import NT_PER_UNIT
-
-Floats = NDArray[np.float64]
 
 STILL_SHARE: Final = 0.02
 """Spread of an axis, as a share of |B|, below which it is constant."""

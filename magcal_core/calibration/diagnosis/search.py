@@ -27,8 +27,6 @@ from magcal_core.field.models import field_model
 from magcal_core.orbit import Orbit
 from magcal_core.samples import Samples
 
-Floats = NDArray[np.float64]
-
 MOST_ROWS: Final = 300
 FEWEST_ROWS: Final = 25
 """Rows below which ten unknowns explain anything."""

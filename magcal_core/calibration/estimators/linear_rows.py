@@ -18,13 +18,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.calibration.fit import Fit, Observations, readings_without, scaled_inverse
-from magcal_core.calibration.jacobians import Standardised, parameters_from_rows, rows_jacobian
-from magcal_core.calibration.result import Parameters
-from magcal_core.regressor_columns import is_of_scale
-from magcal_core.sensor import inverse_lower, lower_triangular_gauge, matrix_of_parameters
-
-Floats = NDArray[np.float64]
+from magcal_core.arrays import Floats
+from magcal_core.calibration.estimators.contract import Fit
+from magcal_core.numerics.linear_algebra import scaled_inverse
+from magcal_core.observations import Observations
+from magcal_core.sensor.correction import readings_without
+from magcal_core.sensor.model import inverse_lower, lower_triangular_gauge, matrix_of_parameters
+from magcal_core.sensor.parameterisation import Standardised, parameters_from_rows, rows_jacobian
+from magcal_core.sensor.parameters import Parameters
+from magcal_core.sensor.regressors import is_of_scale
 
 _CHUNK: Final = 4096
 """Rows whose design is made at a time: it stays in the cache."""

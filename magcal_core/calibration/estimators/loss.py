@@ -6,15 +6,14 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats
+from magcal_core.calibration.estimators.contract import Estimator, Fit, FitSettings
 from magcal_core.calibration.estimators.robust_start import RobustStart, scalar_start, scale_of, vector_start
 from magcal_core.calibration.estimators.scalar_gate import require_observable_fit
-from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations
-from magcal_core.calibration.rows import whole_residuals_nt
+from magcal_core.calibration.estimators.vector_rows import whole_residuals_nt
 from magcal_core.errors import EstimationError, FrameError, NotObservableError
-
-Floats = NDArray[np.float64]
+from magcal_core.observations import Observations
 
 AUTO: Final = "auto"
 AUTO_LOSS: Final = "tukey"

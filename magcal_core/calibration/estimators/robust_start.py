@@ -17,13 +17,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from magcal_core.calibration.corrections import lengths
-from magcal_core.calibration.jacobians import Standardised, parameters_from_rows, rows_from_theta
-from magcal_core.calibration.linear_start import start_of_quadric
-from magcal_core.calibration.minimise import solve_positive
-from magcal_core.calibration.result import Parameters
-
-Floats = NDArray[np.float64]
+from magcal_core.arrays import Floats
+from magcal_core.calibration.estimators.scalar_start import start_of_quadric
+from magcal_core.numerics.linear_algebra import solve_positive
+from magcal_core.numerics.vectors import lengths
+from magcal_core.sensor.parameterisation import Standardised, parameters_from_rows, rows_from_theta
+from magcal_core.sensor.parameters import Parameters
 
 ROWS: Final = 500
 """Rows that are looked at, one drawn from each of so many equal stretches of the session."""

@@ -6,14 +6,12 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from magcal_core.calibration.corrections import correct
-from magcal_core.calibration.fit import Fit, Observations
-from magcal_core.calibration.jacobians import Standardised, lower_of_theta, rows_from_theta, theta_of_parameters
-from magcal_core.calibration.kernels import residuals
-from magcal_core.calibration.motion import advice, motion_words
-from magcal_core.calibration.observability import (
+from magcal_core.arrays import Floats
+from magcal_core.calibration.estimators.contract import Fit
+from magcal_core.calibration.estimators.scalar_kernel import residuals
+from magcal_core.calibration.observability.advice import advice, motion_words
+from magcal_core.calibration.observability.information import (
     ENOUGH,
     PARAMETER_NAMES,
     SHORT_NAMES,
@@ -23,10 +21,11 @@ from magcal_core.calibration.observability import (
     sphere_motion,
     taking_part,
 )
-from magcal_core.calibration.weights import robust_sigma
 from magcal_core.errors import NotObservableError
-
-Floats = NDArray[np.float64]
+from magcal_core.numerics.robust import robust_sigma
+from magcal_core.observations import Observations
+from magcal_core.sensor.correction import correct
+from magcal_core.sensor.parameterisation import Standardised, lower_of_theta, rows_from_theta, theta_of_parameters
 
 MIN_SAMPLES: Final = 10
 """Nine parameters and one residual: with fewer no error can be estimated."""

@@ -16,11 +16,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.calibration.fit import Observations
+from magcal_core.arrays import Floats, Times
 from magcal_core.errors import MagcalError
-from magcal_core.samples import Times
-
-Floats = NDArray[np.float64]
+from magcal_core.observations import Observations
 
 LARGEST_S: Final = 43_200.0
 STEP_S: Final = 30.0

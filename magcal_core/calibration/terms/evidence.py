@@ -24,9 +24,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.calibration.fit import scaled_inverse
-
-Floats = NDArray[np.float64]
+from magcal_core.arrays import Floats
+from magcal_core.numerics.linear_algebra import scaled_inverse
 
 SIZES: Final = (0.0, 0.1, 0.3, 1.0, 3.0)
 """Sizes of a family, root mean square, that are tried, in standard deviations of the residual."""

@@ -14,18 +14,19 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from magcal_core.calibration.fit import Fit, Observations, corrected_nt, readings_without, scaled_inverse
-from magcal_core.calibration.reference_errors import ReferenceErrors
-from magcal_core.calibration.result import Parameters
-from magcal_core.calibration.rows import MISALIGNED_P
-from magcal_core.calibration.selection import folds_of
+from magcal_core.arrays import Floats
+from magcal_core.calibration.estimators.contract import Fit
+from magcal_core.calibration.estimators.vector_rows import MISALIGNED_P
 from magcal_core.calibration.terms.locked import LockedTerms, locked_terms
 from magcal_core.calibration.terms.locked_columns import LockedColumns
-from magcal_core.sensor import lower_triangular_gauge
-
-Floats = NDArray[np.float64]
+from magcal_core.calibration.uncertainty.consider_errors import ReferenceErrors
+from magcal_core.calibration.uncertainty.cross_validation import folds_of
+from magcal_core.numerics.linear_algebra import scaled_inverse
+from magcal_core.observations import Observations, corrected_nt
+from magcal_core.sensor.correction import readings_without
+from magcal_core.sensor.model import lower_triangular_gauge
+from magcal_core.sensor.parameters import Parameters
 
 _UPPER: Final = np.array([1, 2, 5])
 """Where T12, T13 and T23 stand among the elements of T, row by row."""

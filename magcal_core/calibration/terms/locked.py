@@ -18,16 +18,19 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats
+from magcal_core.calibration.estimators.contract import Fit
 from magcal_core.calibration.estimators.linear_rows import Moments, Rows, rows_of
-from magcal_core.calibration.fit import BlockScores, Fit, Observations, residuals_nt, scaled_inverse
-from magcal_core.calibration.low_frequencies import low_frequency_variances
-from magcal_core.calibration.result import Parameters
-from magcal_core.calibration.selection import folds_of
 from magcal_core.calibration.terms.evidence import SIZES, Mixture, Reduced, mixture_of
 from magcal_core.calibration.terms.locked_columns import LockedColumns
-from magcal_core.calibration.uncertainty import HonestCovariance, student_95, with_blocks
+from magcal_core.calibration.uncertainty.cross_validation import folds_of
+from magcal_core.calibration.uncertainty.honest_covariance import HonestCovariance, student_95, with_blocks
+from magcal_core.calibration.uncertainty.low_frequencies import low_frequency_variances
+from magcal_core.numerics.blocks import BlockScores
+from magcal_core.numerics.linear_algebra import scaled_inverse
+from magcal_core.observations import Observations, residuals_nt
+from magcal_core.sensor.parameters import Parameters
 
-Floats = NDArray[np.float64]
 Kind = Literal["fit", "clock", "full"]
 
 CERTAIN: Final = 0.95

@@ -14,18 +14,17 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats
+from magcal_core.calibration.estimators.contract import Estimator, Fit, FitSettings
 from magcal_core.calibration.estimators.linear_rows import Moments
-from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations
-from magcal_core.calibration.reference_errors import ReferenceErrors, reference_shifts
-from magcal_core.calibration.slow_waves import slow_waves, wave_columns
+from magcal_core.calibration.terms.bias_waves import slow_waves, wave_columns
+from magcal_core.calibration.terms.clock import BOUNDED_S, SIGNIFICANCE, At, ClockTest
 from magcal_core.calibration.terms.locked import locked_terms
 from magcal_core.calibration.terms.locked_columns import LockedColumns
-from magcal_core.calibration.time_offset import BOUNDED_S, SIGNIFICANCE, At, ClockTest
-from magcal_core.calibration.uncertainty import covered_s
-
-Floats = NDArray[np.float64]
+from magcal_core.calibration.uncertainty.consider_errors import ReferenceErrors, reference_shifts
+from magcal_core.calibration.uncertainty.honest_covariance import covered_s
+from magcal_core.observations import Observations
 
 QUIET: Final = 1.5
 """Standard errors of the first step below which no offset is looked for."""

@@ -20,19 +20,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats, Mask, Times
 from magcal_core.attitude.rotation import rotate_rows
-from magcal_core.calibration.corrections import lengths
 from magcal_core.constants import EARTH_ROTATION_RAD_S
 from magcal_core.errors import ModelRangeError
 from magcal_core.field import FieldModel
+from magcal_core.numerics.vectors import lengths
 from magcal_core.orbit import Orbit
-from magcal_core.orbit.bodies import default_ephemeris, sun_moon_gcrf
-from magcal_core.orbit.earth_fixed import itrf_to_gcrf_fast
-from magcal_core.orbit.sgp4 import Sgp4Orbit
-from magcal_core.samples import Samples, Times
-
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from magcal_core.orbit.earth.bodies import default_ephemeris, sun_moon_gcrf
+from magcal_core.orbit.earth.earth_fixed import itrf_to_gcrf_fast
+from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
+from magcal_core.samples import Samples
 
 FAMILIES: Final = ("orbit", "heat", "sun")
 UMBRA_KM: Final = 6378.0

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from magcal_core.regressor_columns import lag_of, lagged, lagged_name
-
-Floats = NDArray[np.float64]
+from magcal_core.arrays import Floats
+from magcal_core.sensor.regressors import lag_of, lagged, lagged_name
 
 FUNCTION_OF_FIELD: Final = 0.98
 """R^2 on the reading from which a column is a function of the field: other magnetometers have 0.977 to 1."""

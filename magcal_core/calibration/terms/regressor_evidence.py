@@ -23,12 +23,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats
+from magcal_core.calibration.estimators.contract import Fit
 from magcal_core.calibration.estimators.linear_rows import Rows, rows_of
-from magcal_core.calibration.fit import Fit, Observations, scaled_inverse
 from magcal_core.calibration.terms.evidence import ABSENT, SIZES
 from magcal_core.calibration.terms.locked_columns import LockedColumns
+from magcal_core.numerics.linear_algebra import scaled_inverse
+from magcal_core.observations import Observations
 
-Floats = NDArray[np.float64]
 Terms = Sequence[Floats]
 """Columns of one candidate, each of shape (n,), the same for all axes, or (n, 3), one for each."""
 

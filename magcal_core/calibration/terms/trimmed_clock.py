@@ -9,9 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.robust_start import FEW_SUBSETS, Quadric, rows_looked_at
-
-Floats = NDArray[np.float64]
 
 REACH_S: Final = 120.0
 """Offsets that are looked at, s, each way."""

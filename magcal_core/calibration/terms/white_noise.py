@@ -7,13 +7,12 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from magcal_core.calibration.fit import Estimator, Fit, FitSettings, Observations
-from magcal_core.calibration.uncertainty import covered_s, honest_covariance
-from magcal_core.calibration.weights import robust_sigma
-
-Floats = NDArray[np.float64]
+from magcal_core.arrays import Floats
+from magcal_core.calibration.estimators.contract import Estimator, Fit, FitSettings
+from magcal_core.calibration.uncertainty.honest_covariance import covered_s, honest_covariance
+from magcal_core.numerics.robust import robust_sigma
+from magcal_core.observations import Observations
 
 MOVED: Final = 0.5
 """Move of a parameter, in its standard errors, from which on the noise model is used."""

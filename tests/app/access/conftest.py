@@ -11,9 +11,9 @@ from datetime import timedelta
 import httpx2
 import pytest
 
-from app.database import utc_now
-from app.demo.mission import SESSIONS, simulated, tle_text
-from app.keys.repository import KeyRepository
+from app.access.key_repository import KeyRepository
+from app.storage.database import utc_now
+from magcal_core.simulation.dekart_mission import SESSIONS, simulated, tle_text
 from magcal_core.telemetry import write_samples
 
 ABSENT = "0" * 32

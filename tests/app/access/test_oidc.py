@@ -14,8 +14,8 @@ import pytest
 from joserfc import jwt
 from joserfc.jwk import ECKey, Key, KeySet, RSAKey
 
+from app.access.oidc import ASK_AGAIN_S, open_issuer
 from app.errors import UnavailableError
-from app.oidc import ASK_AGAIN_S, open_issuer
 from app.settings import Settings
 
 AUDIENCE = "magcal-here"
@@ -173,7 +173,7 @@ def test_new_keys_of_the_issuer_are_found_and_invented_ones_do_not_make_it_work(
     newer = ECKey.generate_key("P-256", {"kid": "second", "use": "sig"}, private=True)
     provider.keys.append(newer)
     try:
-        monkeypatch.setattr("app.oidc.ASK_AGAIN_S", 0.0)
+        monkeypatch.setattr("app.access.oidc.ASK_AGAIN_S", 0.0)
         assert status(service, provider.token(key=newer, header={"alg": "ES256"})) == 200
         assert status(service, provider.token()) == 200
     finally:

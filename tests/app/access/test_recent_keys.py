@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from app.auth import TRUSTED_S
+from app.http.entity_tags import TRUSTED_S
 
 
 def test_a_key_that_was_just_right_is_refused_by_the_process_that_revokes_it_at_its_next_request(new_service):

@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from app.cli.main import magcal
-from magcal_core.sensor import SensorModel
+from magcal_core.sensor.model import SensorModel
 from magcal_core.telemetry import read_samples, write_samples
 
 PLAIN = ["--robust", "none", "--noise-model", "none", "--time-offset", "none"]

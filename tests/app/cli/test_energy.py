@@ -13,7 +13,7 @@ from app.cli.energy import FORMS as OFFERED
 from app.cli.main import magcal, run
 from magcal_core.energy.terms import FORMS
 from magcal_core.errors import ModelRangeError
-from magcal_core.orbit.numerical import NumericalOrbit
+from magcal_core.orbit.propagators.numerical import NumericalOrbit
 
 STATE = {
     "epoch": "2022-02-19T22:37:44.130Z",

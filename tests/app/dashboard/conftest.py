@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import httpx2
 import pytest
 
-from app.demo.mission import SESSIONS, simulated, tle_text
+from magcal_core.simulation.dekart_mission import SESSIONS, simulated, tle_text
 from magcal_core.telemetry import write_samples
 
 

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from app.demo.mission import tle_text
+from magcal_core.simulation.dekart_mission import tle_text
 
 NAME, LINE_1, LINE_2, *_ = tle_text().splitlines()
 ROWS = [f"{20000 + i},{-10000 - 2 * i},{30000 - 3 * i}" for i in range(30)]

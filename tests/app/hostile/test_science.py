@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.demo.mission import SESSIONS, simulated
+from magcal_core.simulation.dekart_mission import SESSIONS, simulated
 from magcal_core.telemetry import write_samples
 
 HEADER = "time,bx,by,bz,ref_b\n"
@@ -57,7 +57,7 @@ def test_the_verdict_of_wrong_axes_is_never_accept(send, send_orbit, finished, a
     swapped = samples.h_nt[:, [1, 0, 2]]
     from dataclasses import replace
 
-    from app.demo.mission import tle_text
+    from magcal_core.simulation.dekart_mission import tle_text
 
     send_orbit(tle_text()).raise_for_status()
     content = write_samples(replace(samples, h_nt=swapped), "csv")

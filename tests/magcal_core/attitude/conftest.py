@@ -4,7 +4,7 @@ import pytest
 
 from magcal_core.attitude.options import RomOptions
 from magcal_core.attitude.rom import RomResult, simulate_rom
-from magcal_core.sensor import SensorModel
+from magcal_core.sensor.model import SensorModel
 
 FIGURE_1 = (110.0, -130.0, 170.0)
 

@@ -9,7 +9,7 @@ from magcal_core.attitude.experiment import calibration_impact, pointing_impact
 from magcal_core.attitude.scenario import Gains
 from magcal_core.errors import InputError
 from magcal_core.field.models import field_model
-from magcal_core.sensor import SensorModel
+from magcal_core.sensor.model import SensorModel
 
 IGRF = field_model("igrf-13")
 RESIDUAL = SensorModel([20.0, -20.0, 20.0], [1.001, 0.999, 1.0], [0.05, -0.05, 0.05])

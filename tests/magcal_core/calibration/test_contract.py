@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magcal_core.calibration import ESTIMATORS, FitSettings, Observations
+from magcal_core.calibration.estimators.contract import FitSettings
+from magcal_core.calibration.estimators.registry import ESTIMATORS
 from magcal_core.errors import EstimationError, MagcalError, TelemetryValueError
-from magcal_core.sensor import SensorModel
+from magcal_core.observations import Observations
+from magcal_core.sensor.model import SensorModel
 
 PLAIN = FitSettings()
 ALL = pytest.mark.parametrize("method", sorted(ESTIMATORS))

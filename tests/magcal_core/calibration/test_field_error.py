@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from magcal_core.calibration.field_error import FIELD_NT, field_error, field_error_of_matrix
-from magcal_core.calibration.result import Parameters
-from magcal_core.sensor import SensorModel
+from magcal_core.sensor.model import SensorModel
+from magcal_core.sensor.parameters import Parameters
 
 AT = Parameters(np.array([2000.0, -1500.0, 800.0]), np.array([1.1, 0.9, 1.02]), np.array([3.0, -4.0, 5.0]))
 

@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from magcal_core import calibrate
-from magcal_core.calibration import ESTIMATORS, FitSettings, Observations
+from magcal_core.calibration.estimators.contract import FitSettings
 from magcal_core.calibration.estimators.linear_rows import rows_of
+from magcal_core.calibration.estimators.registry import ESTIMATORS
+from magcal_core.observations import Observations
 from magcal_core.options import CalibrationOptions
-from magcal_core.orbit.sgp4 import Sgp4Orbit
-from magcal_core.referenced import Referenced
+from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
+from magcal_core.reference.referenced_samples import Referenced
 from magcal_core.telemetry import read_samples
 
 PLAIN = {"robust": "none", "noise_model": "none", "time_offset": "none", "locked_terms": "none"}

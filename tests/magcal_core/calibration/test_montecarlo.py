@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magcal_core.calibration import ESTIMATORS, FitSettings, Observations
+from magcal_core.calibration.estimators.contract import FitSettings
+from magcal_core.calibration.estimators.registry import ESTIMATORS
+from magcal_core.observations import Observations
 
 RUNS = 60
 

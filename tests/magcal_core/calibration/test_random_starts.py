@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 import magcal_core as mc
-from magcal_core.calibration import ESTIMATORS
-from magcal_core.calibration.fit import FitSettings, Observations
-from magcal_core.calibration.result import Parameters
-from magcal_core.reference import with_reference
+from magcal_core.calibration.estimators.contract import FitSettings
+from magcal_core.calibration.estimators.registry import ESTIMATORS
+from magcal_core.observations import Observations
+from magcal_core.reference.columns import with_reference
+from magcal_core.sensor.parameters import Parameters
 
 COLUMNS = {
     "time": "ts",

@@ -8,7 +8,9 @@ from types import ModuleType
 
 import pytest
 
-from magcal_core.calibration import monitoring, suspicions, verdict
+from magcal_core.calibration.diagnosis.wrong_input import suspicions
+from magcal_core.calibration.sessions import monitoring
+from magcal_core.calibration.verdict import verdict
 
 DOCS = Path(__file__).parents[3] / "docs"
 

@@ -7,7 +7,7 @@ import pytest
 
 from magcal_core.calibration.terms.regressor_candidates import expanded, triples
 from magcal_core.pipeline import calibrate
-from magcal_core.regressor_columns import lag_of, lagged, response_of
+from magcal_core.sensor.regressors import lag_of, lagged, response_of
 
 
 @pytest.fixture(scope="module")

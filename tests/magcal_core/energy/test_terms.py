@@ -9,8 +9,8 @@ import pytest
 from magcal_core.constants import EARTH_ROTATION_RAD_S, MOON_GM_KM3_S2, SUN_GM_KM3_S2
 from magcal_core.energy import terms as energy_terms
 from magcal_core.energy.terms import FORMS, Track, balance_terms, full_rotation_rad_s, hamiltonian_m2_s2, work_m2_s2
-from magcal_core.orbit.forces import ExponentialDrag, gcrf_to_itrf_matrices
-from magcal_core.orbit.numerical import NumericalOrbit
+from magcal_core.orbit.propagators.forces import ExponentialDrag, gcrf_to_itrf_matrices
+from magcal_core.orbit.propagators.numerical import NumericalOrbit
 
 EPOCH = np.datetime64("2022-02-19T22:37:44.130", "ns")
 R_KM = np.array([6861.897826, -934.3811016, -14.66851920])

@@ -99,7 +99,7 @@ def test_agrees_with_ppigrf_to_1e_minus_3_nt(version: int, max_degree: int, shc_
 
 def test_dekart_case_has_the_field_along_the_orbit() -> None:
     """Worked case of the DEKART orbit at t = 10800 s and 86400 s, IGRF-13, printed to 0.001 nT; ITRF from GCRF."""
-    from magcal_core.orbit.frames import gcrf_to_itrf
+    from magcal_core.orbit.earth.frames import gcrf_to_itrf
 
     t_utc = np.datetime64("2022-02-19T22:37:44.130", "ns") + np.array([10800, 86400]).astype("timedelta64[s]")
     r_gcrf_km = np.array([[5042.935447, -28.540182, -4748.761412], [6714.603571, -985.689071, 1381.499114]])

@@ -7,9 +7,9 @@ import pytest
 
 from magcal_core.errors import OptionError
 from magcal_core.orbit import Orbit
-from magcal_core.orbit.numerical import NumericalOrbit
 from magcal_core.orbit.numerical_fit import fitted_to, numerical_from, numerical_orbits
-from magcal_core.orbit.sgp4 import Sgp4Orbit
+from magcal_core.orbit.propagators.numerical import NumericalOrbit
+from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
 
 EPOCH = np.datetime64("2022-02-19T22:37:44.130", "ns")
 R_KM = np.array([6861.897826, -934.3811016, -14.66851920])

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from magcal_core.errors import MagcalError, WrongInputError
-from magcal_core.missions import DisplacedOrbit, draw_orbit
 from magcal_core.orbit import Orbit
 from magcal_core.pipeline import calibrate
 from magcal_core.samples import Samples
-from magcal_core.sensor import SensorModel
-from magcal_core.simulation import Disturbances, simulate
+from magcal_core.sensor.model import SensorModel
+from magcal_core.simulation.missions import DisplacedOrbit, draw_orbit
+from magcal_core.simulation.telemetry import Disturbances, simulate
 
 START = np.datetime64("2022-03-01T06:00:00", "ns")
 

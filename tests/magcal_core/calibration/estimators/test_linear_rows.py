@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magcal_core.calibration import ESTIMATORS, FitSettings, Observations
+from magcal_core.calibration.estimators.contract import FitSettings
 from magcal_core.calibration.estimators.linear_rows import rows_of
-from magcal_core.sensor import lower_triangular_gauge, parameters_of_matrix
+from magcal_core.calibration.estimators.registry import ESTIMATORS
+from magcal_core.observations import Observations
+from magcal_core.sensor.model import lower_triangular_gauge, parameters_of_matrix
 
 
 @pytest.fixture(scope="module")

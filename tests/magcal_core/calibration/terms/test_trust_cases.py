@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from magcal_core import calibrate
-from magcal_core.orbit.sgp4 import Sgp4Orbit
+from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
 from magcal_core.telemetry import read_samples
 
 LOCKED = ("heat_nadir", "panel_nadir", "heat_nadir_scalar", "clean_tumble")

@@ -1,0 +1,89 @@
+"""The answers of the API that a page asks for first, brought along inside it: its numbers need no further request."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from app.access import key_endpoints as keys
+from app.access.caller import Caller, Scope
+from app.dashboard import endpoints as displays
+from app.dashboard.schemas import OverviewQuery
+from app.http.schemas import PageQuery
+from app.jobs import endpoints as jobs
+from app.jobs.schemas import JobQuery
+from app.parameter_sets.json_listing import Texts, found
+from app.satellites import endpoints as satellites
+from app.sessions import endpoints as sessions
+from app.storage.database import Database
+from magcal_core.errors import MagcalError
+
+Answers = Mapping[str, str]
+"""Path below /api/v1, as the page's script asks for it -> the answer in JSON."""
+Bringer = Callable[[Caller, Database, Texts], Answers]
+MOST: Final = 1000
+MOST_JOBS: Final = 50
+
+
+def brought(ask: Bringer | None, caller: Caller, database: Database, texts: Texts) -> Answers:
+    """Return what ``ask`` brings; nothing where it fails, for the page then asks by itself and shows what is wrong."""
+    if ask is None or not caller.may(Scope.READ):
+        return {}
+    try:
+        return ask(caller, database, texts)
+    except MagcalError:
+        return {}
+
+
+def of_overview(caller: Caller, database: Database, _texts: Texts) -> Answers:
+    """Return the state of all satellites."""
+    rows = displays.get_overview(OverviewQuery(limit=MOST), caller, database)
+    return {f"/overview?limit={MOST}": rows.model_dump_json()}
+
+
+def of_satellite(satellite_id: str) -> Bringer:
+    """Return what brings a satellite and its state."""
+
+    def ask(caller: Caller, database: Database, _texts: Texts) -> Answers:
+        satellite = satellites.get_satellite(satellite_id, caller, database)
+        state = displays.get_overview(OverviewQuery(satellite=satellite_id), caller, database)
+        return {
+            f"/satellites/{satellite_id}": satellite.model_dump_json(),
+            f"/overview?satellite={satellite_id}": state.model_dump_json(),
+        }
+
+    return ask
+
+
+def of_session(session_id: str) -> Bringer:
+    """Return what brings a session."""
+
+    def ask(caller: Caller, database: Database, _texts: Texts) -> Answers:
+        return {f"/sessions/{session_id}": sessions.get_session(session_id, caller, database).model_dump_json()}
+
+    return ask
+
+
+def of_parameter_sets(*set_ids: str) -> Bringer:
+    """Return what brings parameter sets."""
+
+    def ask(caller: Caller, database: Database, texts: Texts) -> Answers:
+        with database.engine.connect() as connection:
+            wanted = [one for set_id in set_ids for one in found(connection, caller, set_id).sets]
+            read = texts.of(connection, wanted)
+        return {f"/parameter-sets/{one}": text.decode() for (one, _), text in zip(wanted, read, strict=True)}
+
+    return ask
+
+
+def of_jobs(caller: Caller, database: Database, _texts: Texts) -> Answers:
+    """Return the newest jobs."""
+    newest = jobs.list_jobs(JobQuery(limit=MOST_JOBS), caller, database)
+    return {f"/jobs?limit={MOST_JOBS}": newest.model_dump_json()}
+
+
+def of_keys(caller: Caller, database: Database, _texts: Texts) -> Answers:
+    """Return the keys."""
+    if not caller.may(Scope.ADMIN):
+        return {}
+    return {f"/keys?limit={MOST}": keys.list_keys(PageQuery(limit=MOST), caller, database).model_dump_json()}

@@ -1,0 +1,80 @@
+"""Tables in answers: which format the caller accepts, and how it is written."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import pyarrow as pa
+from fastapi import Request, Response
+
+from app.errors import NotAcceptableError
+from magcal_core.telemetry import MEDIA_TYPES, WRITERS
+
+ANYTHING: Final = frozenset({"*/*", "text/*", "application/*"})
+OWN_TYPES: Final = {name: next(kind for kind, form in MEDIA_TYPES.items() if form == name) for name in WRITERS}
+"""Format -> the media type that magcal answers with."""
+
+
+def wanted_format(request: Request, asked: str | None, default: str) -> str:
+    """Return the format of an answer: what the query asks for, else what ``Accept`` likes best, else ``default``.
+
+    Raises
+    ------
+    NotAcceptableError
+        None of the accepted media types can be written.
+    """
+    if asked is not None:
+        return asked
+    liked = [_weighed(part) for part in request.headers.get("accept", "*/*").split(",")]
+    for quality, media_type in sorted(liked, key=lambda one: -one[0]):
+        if quality <= 0:
+            continue
+        if media_type in MEDIA_TYPES:
+            return MEDIA_TYPES[media_type]
+        if media_type in ANYTHING:
+            return "csv" if media_type == "text/*" else default
+    raise NotAcceptableError(f"none of the accepted media types can be written; known are {', '.join(MEDIA_TYPES)}")
+
+
+def _weighed(part: str) -> tuple[float, str]:
+    media_type, *parameters = (piece.strip().lower() for piece in part.split(";"))
+    weights = [parameter[2:] for parameter in parameters if parameter.startswith("q=")]
+    try:
+        return (float(weights[0]) if weights else 1.0), media_type
+    except ValueError:
+        return 0.0, media_type
+
+
+def table_response(content: bytes, form: str, name: str) -> Response:
+    """Return the answer that carries a written table; ``name`` is what a browser would save it as."""
+    disposition = f'attachment; filename="{name}.{form}"'
+    return Response(content, media_type=OWN_TYPES[form], headers={"Content-Disposition": disposition, "Vary": "Accept"})
+
+
+def write_table(table: pa.Table, form: str) -> bytes:
+    """Return an Arrow table in the format ``form``."""
+    return WRITERS[form](table)
+
+
+TELEMETRY_BODY: Final = {
+    "requestBody": {
+        "description": "The telemetry; gzip and zstd as Content-Encoding.",
+        "required": True,
+        "content": {kind: {"schema": {"type": "string", "format": "binary"}} for kind in MEDIA_TYPES},
+    }
+}
+
+
+COLUMNS: Final = {"type": "object", "additionalProperties": {"type": "array"}}
+
+
+TABLES: Final[dict[int | str, dict[str, Any]]] = {
+    200: {
+        "description": "The table.",
+        "content": {
+            kind: {"schema": COLUMNS if form == "json" else {"type": "string"}}
+            for kind, form in MEDIA_TYPES.items()
+            if form in WRITERS
+        },
+    }
+}

@@ -1,0 +1,89 @@
+"""HTTP outside the API: whether the service lives, whether it is ready, and its figures."""
+
+from __future__ import annotations
+
+import shutil
+from typing import Literal
+
+import structlog
+from fastapi import APIRouter, Response
+from prometheus_client import CONTENT_TYPE_LATEST
+from sqlalchemy import text
+from sqlalchemy.exc import SQLAlchemyError
+
+from app.errors import ServiceError
+from app.http.dependencies import Blobs, Config, Db
+from app.http.schemas import Record
+from app.jobs.dependencies import Jobs
+from app.operations.queue_metrics import metrics_text
+
+router = APIRouter(tags=["health"])
+log = structlog.get_logger()
+
+State = Literal["ok", "failing"]
+
+
+class Alive(Record):
+    """The process answers."""
+
+    status: Literal["ok"] = "ok"
+
+
+class Ready(Record):
+    """Whether each thing that the service needs is in reach."""
+
+    status: State
+    database: State
+    store: State
+    queue: State
+    disk: State
+
+
+@router.get("/healthz")
+async def alive() -> Alive:
+    """Say that the process answers."""
+    return Alive()
+
+
+@router.get("/readyz", responses={503: {"model": Ready, "description": "Something is out of reach."}})
+def ready(db: Db, store: Blobs, queue: Jobs, config: Config, response: Response) -> Ready:
+    """Say whether database, store, queue and disk are in reach."""
+    found = {
+        "database": _database(db),
+        "store": _part(store),
+        "queue": _part(queue),
+        "disk": _state(shutil.disk_usage(config.data_dir).free >= config.min_free_mb << 20),
+    }
+    status = _state(all(state == "ok" for state in found.values()))
+    response.status_code = 200 if status == "ok" else 503
+    return Ready(status=status, **found)
+
+
+@router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
+def metrics(db: Db) -> Response:
+    """Give the figures in Prometheus' text format."""
+    return Response(metrics_text(db), media_type=CONTENT_TYPE_LATEST)
+
+
+def _state(is_good: bool) -> State:
+    return "ok" if is_good else "failing"
+
+
+def _database(db: Db) -> State:
+    try:
+        db.check()
+        with db.read() as session:
+            session.execute(text("SELECT 1"))
+    except SQLAlchemyError as error:
+        log.warning("not_ready", part="database", error=str(error))
+        return "failing"
+    return "ok"
+
+
+def _part(part: Blobs | Jobs) -> State:
+    try:
+        part.check()
+    except ServiceError as error:
+        log.warning("not_ready", part=type(part).__name__, error=error.message)
+        return "failing"
+    return "ok"

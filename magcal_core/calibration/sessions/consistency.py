@@ -1,0 +1,176 @@
+"""Do sessions agree? Parameters of separate calibrations compared, with honest errors."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from magcal_core.errors import OptionError
+from magcal_core.sensor.parameters import Parameters
+
+Floats = np.typing.NDArray[np.float64]
+
+INCONSISTENT_P: Final = 1e-3
+"""Probability, over all comparisons together, below which sessions are said to disagree."""
+_NAMED: Final = 4
+_UNITS: Final[Mapping[str, str]] = {
+    "bias_nt": " nT",
+    "scale": "",
+    "nonorthogonality_deg": " deg",
+    "time_offset_s": " s",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SessionEstimate:
+    """The parameters of one session and their honest covariance, shape (p, p), in the order of their names."""
+
+    label: str
+    parameters: Parameters
+    covariance: Floats
+
+    @classmethod
+    def with_errors(cls, label: str, parameters: Parameters, standard_errors: Parameters) -> SessionEstimate:
+        """Return an estimate of which only standard errors are known, as published ones are."""
+        return cls(label, parameters, np.diag(standard_errors.vector**2))
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterDifference:
+    """One parameter of two sessions: second - first, its standard error, and how many of them that is."""
+
+    parameter: str
+    first: str
+    second: str
+    difference: float
+    standard_error: float
+    p_value: float
+
+    @property
+    def sigmas(self) -> float:
+        """Size of the difference in standard errors."""
+        return abs(self.difference) / max(self.standard_error, 1e-300)
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the difference as records have it."""
+        names = ("parameter", "first", "second", "difference", "standard_error", "p_value")
+        return {**{name: getattr(self, name) for name in names}, "sigmas": self.sigmas}
+
+
+@dataclass(frozen=True, slots=True)
+class Consistency:
+    """Whether sessions agree.
+
+    Attributes
+    ----------
+    chi_square, degrees_of_freedom
+        Wald's statistic of all sessions against their common estimate.
+    p_value : float
+        Probability of a difference as significant as the largest one where there is none, over all comparisons
+        (Bonferroni): it holds whatever the correlations, which few blocks cannot tell.
+    differences : tuple of ParameterDifference
+        Every pair of sessions and every parameter, most significant first.
+    """
+
+    chi_square: float
+    degrees_of_freedom: int
+    p_value: float
+    differences: tuple[ParameterDifference, ...]
+    text: str
+
+    @property
+    def is_consistent(self) -> bool:
+        """Whether nothing speaks against one and the same sensor."""
+        return self.p_value >= INCONSISTENT_P
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the test as records have it."""
+        return {
+            "is_consistent": self.is_consistent,
+            "chi_square": self.chi_square,
+            "degrees_of_freedom": self.degrees_of_freedom,
+            "p_value": self.p_value,
+            "text": self.text,
+            "differences": [difference.to_dict() for difference in self.differences],
+        }
+
+
+def consistency(estimates: Sequence[SessionEstimate]) -> Consistency:
+    """Return whether the sessions' parameters agree within their errors; parameters that all of them have are compared.
+
+    Raises
+    ------
+    OptionError
+        Fewer than two sessions.
+
+    Notes
+    -----
+    chi^2 = sum over sessions of (p_s - p)^T V_s^-1 (p_s - p), p the weighted mean, (S - 1) x parameters degrees of
+    freedom. Where V_s stems from few blocks its small eigenvalues are too small; they are raised to a tenth of what
+    independent parameters would have.
+    """
+    from scipy.special import chdtrc, ndtr
+
+    if len(estimates) < 2:
+        raise OptionError("a comparison needs at least two sessions")
+    names = _common_names(estimates)
+    values, covariances = zip(*(_selected(estimate, names) for estimate in estimates), strict=True)
+    differences = []
+    for (i, first), (j, second) in itertools.combinations(enumerate(estimates), 2):
+        errors = np.sqrt(np.diag(covariances[i]) + np.diag(covariances[j]))
+        for name, difference, error in zip(names, values[j] - values[i], errors, strict=True):
+            p_value = float(2.0 * ndtr(-abs(difference) / max(error, 1e-300)))
+            differences.append(
+                ParameterDifference(name, first.label, second.label, float(difference), float(error), p_value)
+            )
+    differences.sort(key=lambda one: -one.sigmas)
+    p_value = min(1.0, len(differences) * differences[0].p_value)
+    statistic, freedom = _wald(values, covariances), (len(estimates) - 1) * len(names)
+    chi_p = float(chdtrc(freedom, statistic))
+    return Consistency(statistic, freedom, p_value, tuple(differences), _text(differences, p_value, chi_p))
+
+
+def _common_names(estimates: Sequence[SessionEstimate]) -> list[str]:
+    shared = set.intersection(*(set(estimate.parameters.names) for estimate in estimates))
+    return [name for name in estimates[0].parameters.names if name in shared and name != "time_offset_s"]
+
+
+def _selected(estimate: SessionEstimate, names: Sequence[str]) -> tuple[Floats, Floats]:
+    index = [estimate.parameters.names.index(name) for name in names]
+    return estimate.parameters.vector[index], estimate.covariance[np.ix_(index, index)]
+
+
+def _wald(values: Sequence[Floats], covariances: Sequence[Floats]) -> float:
+    inverses = [_guarded_inverse(covariance) for covariance in covariances]
+    total = np.sum(inverses, axis=0)
+    size = np.sqrt(np.diag(total))
+    weighted = np.sum([inverse @ value for inverse, value in zip(inverses, values, strict=True)], axis=0)
+    mean = np.linalg.solve(total / np.outer(size, size), weighted / size) / size
+    return float(sum((v - mean) @ inverse @ (v - mean) for v, inverse in zip(values, inverses, strict=True)))
+
+
+def _guarded_inverse(covariance: Floats, floor: float = 0.1) -> Floats:
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    lengths, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    return np.asarray((vectors / np.maximum(lengths, floor)) @ vectors.T / np.outer(size, size))
+
+
+def _text(differences: Sequence[ParameterDifference], p_value: float, chi_p: float) -> str:
+    worst = differences[0]
+    if p_value >= INCONSISTENT_P:
+        return f"the sessions agree: the largest difference is {worst.sigmas:.1f} sigma, in {worst.parameter}"
+    told = ", ".join(
+        f"{one.parameter} of {one.second} and {one.first} by {one.difference:+.4g}{_unit(one.parameter)}, "
+        f"{one.sigmas:.1f} sigma"
+        for one in differences[:_NAMED]
+        if one.p_value * len(differences) < INCONSISTENT_P
+    )
+    return f"the sessions disagree: {told} (all parameters together p = {chi_p:.1g})"
+
+
+def _unit(parameter: str) -> str:
+    return _UNITS.get(parameter.split("[", maxsplit=1)[0], "")

@@ -1,0 +1,56 @@
+"""Positive definite systems: the scaled inverse and the damped solution."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from magcal_core.arrays import Floats
+
+
+def scaled_inverse(normal: Floats) -> Floats:
+    """Return the inverse of a normal matrix, taken with a unit diagonal so that units cost no digits."""
+    size = np.sqrt(np.diag(normal))
+    return np.asarray(np.linalg.inv(normal / np.outer(size, size)) / np.outer(size, size))
+
+
+@njit(cache=True, nogil=True)
+def solve_positive(  # noqa: PLR0912 - one straight derivation
+    matrix: Floats, right: Floats, damping: float, smallest: float, out: Floats
+) -> bool:  # pragma: no cover - compiled
+    """Leave (N + damping diag N)^-1 ``right`` in ``out``; False where no pivot above ``smallest`` is left.
+
+    ``matrix``: N, shape (p, p), of which the lower half is read. Cholesky of N scaled to a unit diagonal.
+    """
+    p = right.size
+    size, factor = np.empty(p), np.empty((p, p))
+    for i in range(p):
+        if not matrix[i, i] > 0.0 or not np.isfinite(matrix[i, i]):
+            return False
+        size[i] = math.sqrt(matrix[i, i])
+    for i in range(p):
+        for j in range(i + 1):
+            total = matrix[i, j] / (size[i] * size[j]) if i != j else 1.0 + damping
+            for k in range(j):
+                total -= factor[i, k] * factor[j, k]
+            if i == j:
+                if not total > smallest:
+                    return False
+                factor[i, i] = math.sqrt(total)
+            else:
+                factor[i, j] = total / factor[j, j]
+    for i in range(p):
+        total = right[i] / size[i]
+        for k in range(i):
+            total -= factor[i, k] * out[k]
+        out[i] = total / factor[i, i]
+    for i in range(p - 1, -1, -1):
+        total = out[i]
+        for k in range(i + 1, p):
+            total -= factor[k, i] * out[k]
+        out[i] = total / factor[i, i]
+    for i in range(p):
+        out[i] /= size[i]
+    return True

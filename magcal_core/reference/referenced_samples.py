@@ -1,0 +1,215 @@
+"""Samples in time order with their reference field, which can be computed anew at shifted times."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_core.arrays import Floats, Times
+from magcal_core.errors import TooManyBadSamplesError
+from magcal_core.field import FieldModel
+from magcal_core.field.models import field_model
+from magcal_core.observations import Observations
+from magcal_core.options import CalibrationOptions
+from magcal_core.orbit import Orbit
+from magcal_core.reference.columns import TELEMETRY_POSITION, ReferenceReport, finite_rows, with_reference
+from magcal_core.reference.shifted_times import MovingReference
+from magcal_core.samples import SampleFlag, Samples
+from magcal_core.sensor.regressors import OF_SCALE, TIME_REGRESSOR, lag_of, lagged, source_of
+from magcal_core.telemetry.screen import screened, unscreened
+
+MAX_BAD_FRACTION: Final = 0.5
+"""Share of readings that are not finite or hold a fill value from which on the data are refused."""
+
+_USES: Final = 4
+"""How often a search for the clock asks for the reference at least: twice about each of two places."""
+
+
+def in_time_order(samples: Samples, *, is_plain: bool = False) -> Samples:
+    """Return the samples in time order, equal times by their readings, with rows flagged that cannot be readings.
+
+    ``is_plain``: only rows without a reading are, as the plain fit of published figures has it.
+
+    Raises
+    ------
+    TooManyBadSamplesError
+        More than `MAX_BAD_FRACTION` of the readings are not finite or hold a fill value.
+    """
+    h, t_utc = samples.h_nt, samples.t_utc
+    ordered = samples
+    if not np.all(t_utc[1:] > t_utc[:-1]):
+        ordered = samples.take(np.lexsort((h[:, 2], h[:, 1], h[:, 0], t_utc)))
+    is_bad = ~finite_rows(ordered.h_nt) | np.isnat(ordered.t_utc)
+    marked = ordered.flagged(SampleFlag.NOT_FINITE, is_bad) if is_bad.any() else ordered
+    found = unscreened(marked) if is_plain else screened(marked)
+    is_empty = (found.flags & np.uint16(SampleFlag.NOT_FINITE | SampleFlag.FILL_VALUE)) != 0
+    bad = int(np.count_nonzero(is_empty))
+    if bad and bad >= MAX_BAD_FRACTION * len(samples):
+        raise TooManyBadSamplesError(
+            f"{bad} of {len(samples)} readings are empty, not finite or fill values, limit {MAX_BAD_FRACTION:.0%}"
+        )
+    return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Referenced:
+    """Samples with their reference field.
+
+    Attributes
+    ----------
+    samples : Samples
+        In time order, with reference columns.
+    report : ReferenceReport
+        Where the reference came from.
+    orbits, field
+        What it was computed with.
+    """
+
+    samples: Samples
+    report: ReferenceReport
+    orbits: Sequence[Orbit]
+    field: FieldModel
+
+    @classmethod
+    def of(cls, samples: Samples, orbits: Sequence[Orbit], options: CalibrationOptions) -> Referenced:
+        """Return ``samples`` in time order with their reference.
+
+        Raises
+        ------
+        InputError
+            What `in_time_order` and `with_reference` raise.
+        """
+        ordered = in_time_order(samples, is_plain=options.is_plain)
+        field = field_model(options.field, options.field_max_degree)
+        # An instant that is not one has no place: it is kept out before the orbit is asked for it.
+        known = ordered.take(~np.isnat(ordered.t_utc))
+        used = _numerical(orbits, known) if options.orbit == "numerical" else list(orbits)
+        filled, report = with_reference(known, used, field, max_orbit_age_days=options.max_orbit_age_days)
+        return cls(filled, report, used, field)
+
+    @property
+    def age_days(self) -> float:
+        """Largest distance between data and orbit, days; 0 where no orbit was used."""
+        return max((float(str(orbit["age_days"])) for orbit in self.report.orbits), default=0.0)
+
+    @property
+    def has_orbit(self) -> bool:
+        """Whether orbits gave all positions: only then their clock and the telemetry's can differ."""
+        return bool(self.report.orbits) and TELEMETRY_POSITION not in self.report.orbit_model
+
+    def usable(self, regressors: Sequence[str], is_vector: bool) -> NDArray[np.bool_]:
+        """Return which samples a method can use with these regressors, shape (n,)."""
+        samples = self.samples
+        usable = samples.is_used.copy()
+        if samples.b_ref_magnitude_nt is not None:
+            usable &= np.isfinite(samples.b_ref_magnitude_nt)
+        if is_vector and samples.b_ref_base_nt is not None:
+            usable &= finite_rows(samples.b_ref_base_nt)
+        return usable & has_columns(samples, regressors)
+
+    def observations(self, usable: NDArray[np.bool_], regressors: Sequence[str]) -> Observations:
+        """Return the ``usable`` samples as an estimator sees them; without attitude where some of them have none."""
+        seen = replace(_observed(oriented(self.samples, usable)), q_base_gcrf=None)
+        return Observations.of(seen, regressors, usable.astype(np.float64))
+
+    def shifted(
+        self, usable: NDArray[np.bool_], regressors: Sequence[str], shift_s: Floats, rows: slice = slice(None)
+    ) -> Observations:
+        """Return the same with the reference at times that are ``shift_s``, shape (usable,), s, after the clock's.
+
+        ``rows``: which of the usable samples; ``shift_s`` is theirs.
+        """
+        used = _observed(self.samples).take(usable)
+        used = used if rows == slice(None) else used.take(rows)
+        return MovableObservations.of(used, regressors, self.orbits, self.field, uses=1).at(shift_s)
+
+    def movable(self, usable: NDArray[np.bool_], regressors: Sequence[str]) -> MovableObservations:
+        """Return the same, made ready to be asked for the reference at shifted times again and again."""
+        used = _observed(self.samples).take(usable)
+        return MovableObservations.of(used, regressors, self.orbits, self.field, uses=_USES)
+
+
+def has_columns(samples: Samples, regressors: Sequence[str]) -> NDArray[np.bool_]:
+    """Return which samples, in time order, have a value of every column that ``regressors`` name, at its lag."""
+    has = np.ones(len(samples), dtype=bool)
+    t_s: Floats | None = None
+    for name in regressors:
+        source = source_of(name)
+        if source not in samples.housekeeping and source != TIME_REGRESSOR:
+            continue
+        lag = lag_of(name.removesuffix(OF_SCALE))[1]
+        if lag and t_s is None and len(samples):
+            t_s = (samples.t_utc - samples.t_utc[0]) / np.timedelta64(1, "ns") * 1e-9
+        column = np.asarray(samples.housekeeping.get(source, np.zeros(len(samples))), np.float64)
+        has &= np.isfinite(column if t_s is None else lagged(column, lag, t_s))
+    return has
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovableObservations:
+    """Observations whose reference can be computed anew at shifted times.
+
+    Attributes
+    ----------
+    unmoved : Observations
+        With the reference at the telemetry's own times.
+    t_utc : datetime64[ns], shape (n,)
+        These times.
+    q_base_gcrf : shape (n, 4), optional
+        Unit quaternion, scalar first: ``v_base = C(q) v_gcrf``.
+    reference : MovingReference
+        The reference at other times.
+    """
+
+    unmoved: Observations
+    t_utc: Times
+    q_base_gcrf: Floats | None
+    reference: MovingReference
+
+    @classmethod
+    def of(
+        cls, samples: Samples, regressors: Sequence[str], orbits: Sequence[Orbit], field: FieldModel, *, uses: int
+    ) -> MovableObservations:
+        """Return what is observed in ``samples``, whose reference will be asked for ``uses`` times."""
+        unmoved = Observations.of(oriented(samples, np.ones(len(samples), dtype=bool)), regressors)
+        q = None if unmoved.b_base_nt is None else samples.q_base_gcrf
+        reference = MovingReference.about(samples.t_utc, orbits, field, is_gcrf=q is not None, uses=uses)
+        return cls(unmoved, samples.t_utc, q, reference)
+
+    def at(self, shift_s: Floats, rows: slice = slice(None)) -> Observations:
+        """Return the observations ``rows`` with the reference ``shift_s``, shape (rows,), s, after the clock's time.
+
+        Raises
+        ------
+        OrbitMissingError
+            No orbit covers a shifted time.
+        """
+        moved = self.t_utc[rows] + np.round(shift_s * 1e9).astype("timedelta64[ns]")
+        b_nt, b_base_nt = self.reference.at(moved, None if self.q_base_gcrf is None else self.q_base_gcrf[rows])
+        here = self.unmoved if rows == slice(None) else self.unmoved.take(rows)
+        return replace(here, b_nt=b_nt, b_base_nt=b_base_nt)
+
+
+def oriented(samples: Samples, usable: NDArray[np.bool_]) -> Samples:
+    """Return ``samples`` with the field in the base frame only where all of the ``usable`` ones have it."""
+    base_nt = samples.b_ref_base_nt
+    if base_nt is None or np.all(finite_rows(base_nt) | ~usable):
+        return samples
+    return replace(samples, b_ref_base_nt=None)
+
+
+def _observed(samples: Samples) -> Samples:
+    """Return ``samples`` without the columns that no estimator sees: selecting among them need not copy these."""
+    return replace(samples, r_itrf_km=None, b_ref_gcrf_nt=None)
+
+
+def _numerical(orbits: Sequence[Orbit], samples: Samples) -> list[Orbit]:
+    """Return numerical orbits in place of those of ``orbits`` that give some sample its position."""
+    from magcal_core.orbit.numerical_fit import numerical_orbits
+
+    needs_orbit = bool(orbits) and not samples.has_reference and samples.r_itrf_km is None
+    return numerical_orbits(orbits, samples.t_utc) if needs_orbit else list(orbits)

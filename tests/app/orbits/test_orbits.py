@@ -1,0 +1,142 @@
+"""Orbits over HTTP."""
+
+import json
+import time
+
+import pytest
+
+from magcal_core.simulation.dekart_mission import tle_text
+
+TEXT = {"content-type": "text/plain"}
+STATE = {
+    "epoch": "2022-02-19T22:37:44.130Z",
+    "frame": "GCRF",
+    "position_km": [6861.897826, -934.3811016, -14.66851920],
+    "velocity_km_s": [-0.1222573311, -1.009655310, 7.525523775],
+}
+OEM = """CCSDS_OEM_VERS = 2.0
+CREATION_DATE = 2022-02-20T00:00:00
+ORIGINATOR = TEST
+META_START
+OBJECT_NAME = DEKART
+OBJECT_ID = 2020-068H
+CENTER_NAME = EARTH
+REF_FRAME = ITRF2000
+TIME_SYSTEM = UTC
+START_TIME = 2022-02-20T00:00:00
+STOP_TIME = 2022-02-20T00:04:00
+META_STOP
+2022-02-20T00:00:00 6900.0 0.0 0.0 0.0 0.0 7.6
+2022-02-20T00:01:00 6885.0 0.0 455.4 -0.5 0.0 7.58
+2022-02-20T00:02:00 6840.1 0.0 908.7 -1.0 0.0 7.53
+2022-02-20T00:03:00 6765.5 0.0 1358.1 -1.5 0.0 7.45
+2022-02-20T00:04:00 6661.5 0.0 1801.6 -2.0 0.0 7.34
+"""
+
+
+def send(api, satellite, content, media_type="text/plain"):
+    return api.post(f"/satellites/{satellite}/orbits", content=content, headers={"content-type": media_type})
+
+
+def test_tles_are_kept_once_each(api, satellite):
+    made = send(api, satellite, tle_text())
+    assert made.status_code == 201
+    items = made.json()["items"]
+    assert [(one["format"], one["details"]["norad_id"]) for one in items] == [("tle", "46493")] * 2
+    assert items[0]["epoch"] == "2022-02-19T22:37:44.129568Z"
+    again = send(api, satellite, tle_text().replace("\n", "\r\n"))
+    assert again.status_code == 200
+    assert [one["id"] for one in again.json()["items"]] == [one["id"] for one in items]
+    listed = api.get(f"/satellites/{satellite}/orbits").json()["items"]
+    assert [one["id"] for one in listed] == [items[1]["id"], items[0]["id"]]
+
+
+def test_the_orbit_of_a_time_is_the_nearest_with_its_age(api, satellite):
+    send(api, satellite, tle_text())
+    chosen = api.get(f"/satellites/{satellite}/orbits", params={"at": "2022-02-21T22:37:44.129568Z"}).json()["items"]
+    assert [one["epoch"][:10] for one in chosen] == ["2022-02-19"]
+    assert chosen[0]["age_days"] == pytest.approx(2.0, abs=1e-9)
+
+
+def test_an_ephemeris_serves_the_times_that_it_covers(api, satellite):
+    send(api, satellite, tle_text())
+    made = send(api, satellite, OEM)
+    assert (made.status_code, made.json()["items"][0]["format"]) == (201, "oem")
+    path = f"/satellites/{satellite}/orbits"
+    inside = api.get(path, params={"at": "2022-02-20T00:02:00Z"}).json()["items"][0]
+    outside = api.get(path, params={"at": "2022-02-20T00:10:00Z"}).json()["items"][0]
+    assert (inside["format"], inside["age_days"], outside["format"]) == ("oem", 0.0, "tle")
+
+
+def test_a_state_vector_is_an_orbit(api, satellite):
+    made = send(api, satellite, json.dumps(STATE), "application/json")
+    assert made.status_code == 201, made.text
+    orbit = made.json()["items"][0]
+    assert (orbit["format"], orbit["epoch"]) == ("state", "2022-02-19T22:37:44.130000Z")
+    detail = api.get(f"/satellites/{satellite}/orbits/{orbit['id']}").json()
+    assert json.loads(detail["content"])["position_km"] == STATE["position_km"]
+
+
+def test_a_wrong_checksum_is_told_by_line_and_column(api, satellite):
+    refused = send(api, satellite, tle_text().replace("9996", "9997"))
+    assert (refused.status_code, refused.json()["code"]) == (422, "tle_checksum")
+    assert refused.json()["errors"][0]["where"] == "line 2, column 69"
+    assert api.get(f"/satellites/{satellite}/orbits").json()["items"] == []
+
+
+def test_what_is_no_orbit_is_refused(api, satellite):
+    for content, media_type in (
+        ("hello", "text/plain"),
+        ('{"epoch": "2022-02-19T22:37:44Z"}', "application/json"),
+        ("<xml", "application/xml"),
+        (json.dumps(STATE | {"frame": "MOON"}), "application/json"),
+    ):
+        assert send(api, satellite, content, media_type).status_code == 422, content
+    assert send(api, satellite, b"\xff\xfe", "text/plain").json()["code"] == "encoding"
+    assert send(api, satellite, "x", "image/png").status_code == 415
+
+
+def test_orbits_of_another_satellite_are_not_there(service, api, satellite):
+    orbit_id = send(api, satellite, tle_text()).json()["items"][0]["id"]
+    with service.client(service.key("admin", satellites=["mine"])) as bound:
+        nothing = bound.get("/satellites/nowhere/orbits")
+        assert bound.get(f"/satellites/{satellite}/orbits").content == nothing.content
+        assert bound.get(f"/satellites/{satellite}/orbits/{orbit_id}").content == nothing.content
+        assert send(bound, satellite, tle_text()).status_code == 404
+
+
+def mission_tles(count: int) -> str:
+    """Return ``count`` TLEs of one satellite over two years, made from one: the epoch and the anomaly move."""
+    lines = []
+    for k in range(count):
+        days = 730.0 * k / count
+        year, day = 21 + int(days // 365), 1.0 + days % 365
+        first = f"1 46493U 20068H   {year:02d}{day:012.8f}  .00000000  00000-0  00000+0 0  999"
+        anomaly = (33.6 + 15.04 * 360.0 * days) % 360.0
+        second = f"2 46493  97.7186 352.5293 0017269 326.3404 {anomaly:8.4f} 15.04187815    0"
+        lines += [f"{line}{sum(int(c) if c.isdigit() else c == '-' for c in line) % 10}" for line in (first, second)]
+    return "\n".join(lines) + "\n"
+
+
+def test_the_tles_of_a_mission_are_kept_at_once(api, satellite):
+    """1,500 TLEs over two years: a second of one core; five, because the machine may be busy with something else."""
+    content = mission_tles(1500)
+    begun = time.process_time()
+    first = api.post(f"/satellites/{satellite}/orbits", content=content, headers={"content-type": "text/plain"})
+    assert time.process_time() - begun < 5.0
+    again = api.post(f"/satellites/{satellite}/orbits", content=content, headers={"content-type": "text/plain"})
+    assert (first.status_code, again.status_code) == (201, 200)
+    ids = [one["id"] for one in first.json()["items"]]
+    assert len(set(ids)) == 1500
+    assert [one["id"] for one in again.json()["items"]] == ids
+    epochs = [one["epoch"] for one in first.json()["items"]]
+    assert epochs == sorted(epochs)
+
+
+def test_an_orbit_that_stands_twice_in_a_message_is_kept_once(api, satellite):
+    content = mission_tles(2) + mission_tles(2)
+    answer = api.post(f"/satellites/{satellite}/orbits", content=content, headers={"content-type": "text/plain"})
+    ids = [one["id"] for one in answer.json()["items"]]
+    assert answer.status_code == 201
+    assert ids[:2] == ids[2:]
+    assert len(set(ids)) == 2
