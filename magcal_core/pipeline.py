@@ -9,10 +9,15 @@ from magcal_core.arrays import Progress
 from magcal_core.calibration.result import Calibration
 from magcal_core.calibration.sessions.monitoring import ActiveSet
 from magcal_core.errors import EstimationError, FrameError, UnitsError
-from magcal_core.estimation import _estimate
+from magcal_core.estimation.clock import with_clock
 from magcal_core.estimation.diagnosing import diagnosed, refused, with_cause
+from magcal_core.estimation.estimate import Estimate, Prepared
 from magcal_core.estimation.judging import judged
+from magcal_core.estimation.noise import with_noise
 from magcal_core.estimation.record import calibration_of
+from magcal_core.estimation.regressor_choice import with_regressors
+from magcal_core.estimation.start_and_loss import started
+from magcal_core.estimation.trust import with_locked_terms
 from magcal_core.options import CalibrationOptions, OptionValues
 from magcal_core.orbit import Orbit
 from magcal_core.reference.referenced_samples import Referenced
@@ -78,3 +83,9 @@ def calibrate(
     calibration = calibration_of(estimate, with_cause(judgement, diagnosis), diagnosis, with_moments=with_moments)
     tell(1.0)
     return calibration
+
+
+def _estimate(referenced: Referenced, options: CalibrationOptions) -> Estimate:
+    """Return the estimate: start and loss, clock, noise model, regressors, and what locked errors leave of it."""
+    prepared = Prepared.of(referenced, options)
+    return with_locked_terms(with_regressors(with_noise(with_clock(started(prepared)))))
