@@ -22,7 +22,7 @@ from app.http.unkeepable import has_unkeepable
 from app.satellites.repository import within_reach
 from app.satellites.tables import Magnetometer, Satellite
 from app.sessions.chunk_format import decode, encode
-from app.sessions.restoration import restore
+from app.sessions.restoration import Sent, restore
 from app.sessions.schemas import SessionQuery
 from app.sessions.sensor_reading import column_names
 from app.sessions.tables import Chunk, TelemetrySession
@@ -100,6 +100,11 @@ class Parsed:
             form,
             reading,
         )
+
+    @property
+    def sent(self) -> Sent:
+        """What of it brings lost bytes back."""
+        return Sent(self.raw, self.columns, len(self.telemetry.samples), self.reading)
 
     def added_to(self, row: TelemetrySession | None) -> dict[str, object]:
         """Return what a session says of its telemetry once this is added to it; ``row`` is None before the first."""
@@ -272,7 +277,7 @@ class SessionRepository:
         """Add a chunk to an open session; one that is there already, with its bytes, changes nothing."""
         chunks = self.chunks(row.id)
         if any(chunk.sha256 == parsed.raw.sha256 for chunk in chunks):
-            restore(self.session, self.caller, row, parsed, store)
+            restore(self.session, self.caller, row, parsed.sent, store)
             return
         if row.state != "open":
             raise ConflictError("the session is closed")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
@@ -12,10 +12,17 @@ from app.access.caller import Caller
 from app.sessions.tables import Chunk, TelemetrySession
 from app.storage.database_store import is_whole as is_object_whole
 from app.storage.database_store import keep_after_all
-from app.storage.store import Store, columns_key, raw_key
+from app.storage.store import Packed, Store, columns_key, raw_key
 
-if TYPE_CHECKING:
-    from app.sessions.repository import Parsed
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """A chunk that was sent again: its bytes, their columnar form, how many samples they are and how they were read."""
+
+    raw: Packed
+    columns: Packed
+    samples: int
+    reading: dict[str, object] | None
 
 
 def is_whole(session: Session, row: TelemetrySession, sha256: str, store: Store) -> bool:
@@ -34,12 +41,12 @@ def _has_bytes(session: Session, row: TelemetrySession, chunk: Chunk, store: Sto
     )
 
 
-def restore(session: Session, caller: Caller, row: TelemetrySession, parsed: Parsed, store: Store) -> bool:
+def restore(session: Session, caller: Caller, row: TelemetrySession, sent: Sent, store: Store) -> bool:
     """Return whether bytes that the session had lost are now kept again: removed, gone or not those of its row.
 
     A session whose bytes were removed counts as removed until every one of its chunks has come again.
     """
-    sha256 = parsed.raw.sha256
+    sha256 = sent.raw.sha256
     if is_whole(session, row, sha256, store):
         return False
     session.refresh(row, with_for_update=True)
@@ -48,14 +55,13 @@ def restore(session: Session, caller: Caller, row: TelemetrySession, parsed: Par
     if chunk is None or (row.raw_removed_at is None and _has_bytes(session, row, chunk, store)):
         return False
     objects = {
-        raw_key(row.satellite_id, sha256): parsed.raw,
-        columns_key(row.id, chunk.sequence): parsed.columns,
+        raw_key(row.satellite_id, sha256): sent.raw,
+        columns_key(row.id, chunk.sequence): sent.columns,
     }
     for key, content in objects.items():
         store.replace(session, key, content)
-    samples = len(parsed.telemetry.samples)
-    row.samples += samples - chunk.samples
-    chunk.samples, chunk.columns_sha256, chunk.reading = samples, parsed.columns.sha256, parsed.reading
+    row.samples += sent.samples - chunk.samples
+    chunk.samples, chunk.columns_sha256, chunk.reading = sent.samples, sent.columns.sha256, sent.reading
     keep_after_all(session, list(objects))
     if row.raw_removed_at is not None and all(_has_bytes(session, row, one, store) for one in chunks):
         row.raw_removed_at = None
