@@ -10,8 +10,12 @@ from pathlib import Path
 import pytest
 
 import app
+from app.attention.causes.registry import CAUSES
 from app.cli.main import COMMANDS
+from app.jobs.kinds.registry import JOB_KINDS
 from app.main import create_app
+from app.operations.magnetometer_metrics import READINGS
+from app.parameter_sets.reasons import REASONS
 from app.settings import Settings
 from magcal_core.calibration.estimators.registry import ESTIMATORS
 from magcal_core.errors import MagcalError
@@ -82,6 +86,10 @@ PLACES = [
     (CONVENTIONS, "calibration.md"),
     (FIELD_MODELS, "field.md"),
     (READERS, "telemetry.md"),
+    (CAUSES, "how-to/three-in-the-morning.md"),
+    (READINGS, "how-to/three-in-the-morning.md"),
+    (REASONS, "how-to/when-it-says-refuse.md"),
+    (JOB_KINDS, "service.md"),
 ]
 
 

@@ -168,9 +168,7 @@ class Ingest:
             row, is_new = sessions.create(
                 asked.satellite_id, prepared.magnetometer.id, parsed, writing, is_open=asked.query.open
             )
-        is_restored = (
-            not is_new and parsed is not None and restore(session, asked.caller, row, parsed.sent, self._store)
-        )
+        is_restored = not is_new and parsed is not None and restore(session, asked.caller, row, parsed, self._store)
         if asked.key is not None and made is None:
             remember(session, asked.caller, asked.key, asked.fingerprint, row.id)
         return Kept(row, is_new, is_restored=is_restored)

@@ -20,7 +20,7 @@ def test_every_code_of_a_verdict_is_explained() -> None:
     """The codes as the verdict's own source writes them."""
     text = VERDICT.read_text(encoding="utf-8")
     codes = set(re.findall(r'Reason\(\s*"(\w+)"', text))
-    codes |= set(re.findall(r'_graded\([^"]*?"(\w+)"', text))
+    codes |= set(re.findall(r'_graded\(\s*[\w.]+,\s*\w+,\s*"(\w+)"', text))
     assert codes <= set(REASONS)
     assert len(codes) > 10
 
