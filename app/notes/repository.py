@@ -39,7 +39,7 @@ class NoteRepository:
 
     def _read(self, rows: list[Note]) -> list[NoteRead]:
         writers = {row.created_by for row in rows} - {None}
-        names = dict(self.session.execute(select(ApiKey.id, ApiKey.name).where(ApiKey.id.in_(writers))).tuples().all())
+        names = dict(self.session.execute(select(ApiKey.id, ApiKey.name).where(ApiKey.id.in_(writers))).all())
         return [
             NoteRead(
                 id=row.id,
