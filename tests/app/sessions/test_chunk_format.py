@@ -96,9 +96,7 @@ def test_a_chunk_of_the_plain_form_is_still_read():
     import pyarrow as pa
 
     given = samples_of(PLAIN.round(2))
-    columns = {"t_utc": pa.array(given.t_utc)} | {
-        f"h_nt[{i}]": pa.array(given.h_nt[:, i].copy()) for i in range(3)
-    }
+    columns = {"t_utc": pa.array(given.t_utc)} | {f"h_nt[{i}]": pa.array(given.h_nt[:, i].copy()) for i in range(3)}
     table = pa.table(columns | {"flags": pa.array(given.flags)})
     sink = pa.BufferOutputStream()
     with pa.ipc.new_file(sink, table.schema, options=pa.ipc.IpcWriteOptions(compression="zstd")) as writer:
