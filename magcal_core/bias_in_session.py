@@ -109,9 +109,10 @@ def _with_steps_named(calibration: Calibration, steps: BiasSteps) -> Calibration
 def _weakened(verdict: Verdict, steps: BiasSteps) -> Verdict:
     """Return the verdict with a reason for each step: at best weak, the reasons of the worse grade first."""
     found = tuple(Reason("bias_step", step.text) for step in steps.items)
+    grades = ("weak",) * len(found)
     if verdict.grade == "accept":
-        return Verdict("weak", found)
-    return Verdict(verdict.grade, (*verdict.reasons, *found))
+        return Verdict("weak", found, grades)
+    return Verdict(verdict.grade, (*verdict.reasons, *found), (*verdict.grades, *grades))
 
 
 def _period_s(orbits: Sequence[Orbit], t_utc: np.datetime64) -> float | None:

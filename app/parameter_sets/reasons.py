@@ -68,6 +68,11 @@ def _no_clock(subject: Subject) -> Change:
     return None if subject.options.get("method") == "vector-closed-form" else {"time_offset": "estimate"}
 
 
+def _steps(subject: Subject) -> Change:
+    """Return steps of the bias as unknowns, for a method that can take them."""
+    return {"bias_steps": "fit"} if subject.options.get("method") in {"scalar", "vector"} else None
+
+
 def _regressors(subject: Subject) -> Change:
     """Return regressors chosen on unseen blocks, where the session has columns that may be some."""
     return {"regressors": "auto"} if subject.housekeeping else None
@@ -93,6 +98,7 @@ NO_REGRESSORS: Final = _again(
     "Without regressors", lambda one: {"regressors": []} if one.options.get("regressors") else None
 )
 CLOCK: Final = _again("Look for the clock", _no_clock)
+STEPS: Final = _again("With the steps fitted", _steps)
 SCALAR: Final = _again("Again from |B| alone", lambda _subject: {"method": "scalar"})
 ORBITS: Final = _page("Choose orbit", lambda subject: f"/satellites/{subject.satellite_id}#orbits")
 MORE: Final = _page("Choose more sessions", lambda subject: f"/satellites/{subject.satellite_id}#sessions")
@@ -147,6 +153,14 @@ REASONS: Final[Mapping[str, Plain]] = {
     "differs_from_active": Plain(
         "The parameters differ from those in force by more than chance.",
         "has the sensor changed? then activate this set; else look for what was wrong with either session", COMPARE,
+    ),
+    "storm": Plain(
+        "A magnetic storm changed the field by more than the reference knows of.",
+        "give an index of those hours and calibrate again with +rc or +dst, or take a session of a quiet day", MORE,
+    ),
+    "bias_step": Plain(
+        "The bias stepped inside the data, so that the set's own is that of neither side.",
+        "find out what was switched; with the steps fitted, the set has the bias after the last one", STEPS,
     ),
     "misaligned": Plain(
         "The reference is turned against the sensor's own frame, and a vector fit puts that into the angles.",

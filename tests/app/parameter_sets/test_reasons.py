@@ -1,14 +1,17 @@
 """Reasons in plain words: every code that a verdict may have is explained, and a cure changes what it says it does."""
 
-import re
-from pathlib import Path
+import ast
+import inspect
 
 import pytest
 
 from app.jobs.schemas import CalibrationBody
 from app.parameter_sets.reasons import REASONS, Subject, explained
+from magcal_core import bias_in_session
+from magcal_core.calibration.verdict import verdict
 
-VERDICT = Path(__file__).resolve().parents[3] / "magcal_core" / "calibration" / "verdict" / "verdict.py"
+PLACES = {"Reason": 0, "_graded": 2}
+"""Which argument of a call is the reason's code."""
 PLAIN = {"method": "scalar", "robust": "none", "time_offset": "auto", "regressors": [], "noise_nt": None}
 
 
@@ -17,12 +20,17 @@ def subject(**options: object) -> Subject:
 
 
 def test_every_code_of_a_verdict_is_explained() -> None:
-    """The codes as the verdict's own source writes them."""
-    text = VERDICT.read_text(encoding="utf-8")
-    codes = set(re.findall(r'Reason\(\s*"(\w+)"', text))
-    codes |= set(re.findall(r'_graded\(\s*[\w.]+,\s*\w+,\s*"(\w+)"', text))
+    """The codes as the sources that make verdicts write them."""
+    calls = [
+        node
+        for module in (verdict, bias_in_session)
+        for node in ast.walk(ast.parse(inspect.getsource(module)))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in PLACES
+    ]
+    given = [call.args[PLACES[call.func.id]] for call in calls]
+    codes = {argument.value for argument in given if isinstance(argument, ast.Constant)}
     assert codes <= set(REASONS)
-    assert len(codes) > 10
+    assert {"not_observable", "large_residual", "storm", "bias_step"} <= codes
 
 
 @pytest.mark.parametrize(
@@ -37,6 +45,7 @@ def test_every_code_of_a_verdict_is_explained() -> None:
         ),
         ("poor_on_unseen_data", {"regressors": ["temperature"]}, "Without regressors", {"regressors": []}),
         ("orbit_old", {}, "Look for the clock", {"time_offset": "estimate"}),
+        ("bias_step", {}, "With the steps fitted", {"bias_steps": "fit"}),
         ("misaligned", {"method": "vector"}, "Again from |B| alone", {"method": "scalar"}),
     ],
 )
@@ -50,9 +59,11 @@ def test_a_cure_is_the_same_calibration_with_one_option_changed(code, options, l
     assert body.session_ids == ["b" * 32]
 
 
-def test_a_cure_that_was_taken_already_is_not_offered_again() -> None:
+def test_a_cure_that_was_taken_already_or_cannot_be_is_not_offered() -> None:
     (reason,) = explained(["many_rejected: x"], ["weak"], subject(robust="tukey"))
     assert reason.cure is None
+    (step,) = explained(["bias_step: x"], ["weak"], subject(method="vector-closed-form"))
+    assert step.cure is None
     (orbit,) = explained(["orbit_old: x"], ["weak"], subject(time_offset="estimate"))
     assert (orbit.cure.method, orbit.cure.path) == ("GET", "/satellites/dekart#orbits")
 

@@ -17,7 +17,10 @@ from app.records.parameter_set import ParameterSetRecord
 from app.reporting import figures
 from app.reporting.figures.style import time_line
 from magcal_core.calibration.residuals import ResidualTable, StoredReadings
+from magcal_core.calibration.sessions.trend import trend
+from magcal_core.calibration.terms.bias_path import BiasPath
 from magcal_core.samples import SampleFlag, Samples
+from tests.magcal_core.calibration.sessions.histories import history as history_of_sets
 
 START = np.datetime64("2022-02-19T22:37:44.130", "ns")
 
@@ -94,6 +97,12 @@ def history() -> tuple[list[figures.SessionMark], list[figures.InForce]]:
     return marks, spans
 
 
+def bias_path() -> BiasPath:
+    blocks = T_UTC[::10]
+    wave = np.sin(np.arange(len(blocks)) / 9.0)[:, None] * [40.0, -20.0, 10.0]
+    return BiasPath(blocks, wave, np.full(wave.shape, 5.0), np.zeros(3), np.full(3, 2.0), ())
+
+
 ROWS = [figures.AblationRow("plain", 181.5, 247.0, False), figures.AblationRow("+ temperature", 168.3, None, True)]
 T_UTC = residuals().t_utc
 SCALAR_NT = residuals().residual_nt
@@ -120,6 +129,8 @@ DRAWINGS: dict[str, Callable[[figures.Theme], Figure]] = {
     "coefficient_errors": lambda theme: figures.coefficient_errors(
         np.arange(2.0, 13), np.full(11, 1e-7), {"1 cm": np.full(11, 1e-10)}, theme
     ),
+    "trend_figure": lambda theme: figures.trend_figure(trend(history_of_sets(21, 9).sets), theme),
+    "bias_path_figure": lambda theme: figures.bias_path_figure(bias_path(), theme),
 }
 
 

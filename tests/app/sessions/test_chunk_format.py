@@ -16,7 +16,7 @@ def samples_of(h_nt: np.ndarray, **columns) -> Samples:
     rng = np.random.default_rng(5)
     steps = np.cumsum(rng.integers(0, 10**10, len(h_nt)))
     t_utc = np.datetime64("2022-02-19T22:37:44.123456789", "ns") + steps.astype("timedelta64[ns]")
-    return Samples(t_utc, h_nt, **chunk_format)
+    return Samples(t_utc, h_nt, **columns)
 
 
 def bits(values: np.ndarray) -> bytes:
@@ -96,10 +96,8 @@ def test_a_chunk_of_the_plain_form_is_still_read():
     import pyarrow as pa
 
     given = samples_of(PLAIN.round(2))
-    chunk_format = {"t_utc": pa.array(given.t_utc)} | {
-        f"h_nt[{i}]": pa.array(given.h_nt[:, i].copy()) for i in range(3)
-    }
-    table = pa.table(chunk_format | {"flags": pa.array(given.flags)})
+    columns = {"t_utc": pa.array(given.t_utc)} | {f"h_nt[{i}]": pa.array(given.h_nt[:, i].copy()) for i in range(3)}
+    table = pa.table(columns | {"flags": pa.array(given.flags)})
     sink = pa.BufferOutputStream()
     with pa.ipc.new_file(sink, table.schema, options=pa.ipc.IpcWriteOptions(compression="zstd")) as writer:
         writer.write_table(table)

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import magcal_core as mc
+from magcal_core.bias_in_session import _weakened
+from magcal_core.calibration.reasons import Reason, Verdict
 from magcal_core.calibration.refit.moments import FitMoments
 from magcal_core.calibration.result import Calibration
 from magcal_core.calibration.sessions.monitoring import ActiveSet
@@ -63,6 +65,7 @@ def test_a_step_weakens_the_verdict_and_its_fit_has_the_bias_after_it(cases):
     case, samples, named = cases["session-1-step"]
     assert named.verdict.grade == "weak"
     assert [reason.code for reason in named.verdict.reasons] == ["bias_step"]
+    assert named.verdict.grades == ("weak",)
     fitted = mc.calibrate(samples, method="scalar", bias_steps="fit")
     record = fitted.to_dict()
     assert record["bias_steps"]["is_fitted"]
@@ -78,6 +81,16 @@ def test_a_step_weakens_the_verdict_and_its_fit_has_the_bias_after_it(cases):
     assert record["statistics"]["rejected"] == 16
     assert record["provenance"]["options"]["bias_steps"] == "fit"
     assert fitted.residuals.t_utc.shape == named.residuals.t_utc.shape
+
+
+@pytest.mark.parametrize("grade", ["weak", "refuse"])
+def test_a_verdict_with_reasons_of_its_own_says_the_grade_of_each_step_too(cases, grade):
+    _, _, named = cases["session-1-step"]
+    other = Verdict(grade, (Reason("large_residual", "400 nT"),), (grade,))
+    found = _weakened(other, mc.bias_steps(named.moments))
+    assert found.grade == grade
+    assert [reason.code for reason in found.reasons] == ["large_residual", "bias_step"]
+    assert found.grades == (grade, "weak")
 
 
 def test_without_the_search_the_fit_is_bit_for_bit_the_same_and_the_record_has_no_word_of_it(cases):
