@@ -117,10 +117,9 @@ def _matrix(found: Mapping[str, Floats], convention: str) -> Floats:
             return SensorModel(found["bias_nt"], found["scale"], angles).correction_matrix
         if convention == "on-board":
             return found["rotation"].reshape(3, 3) * found["scale"]
-        if convention == "lower-triangular":
-            return np.linalg.inv(found["matrix"].reshape(3, 3))
-        if convention == "symmetric":
-            return found["rotation"].reshape(3, 3) @ np.linalg.inv(found["matrix"].reshape(3, 3))
+        if convention in {"lower-triangular", "symmetric"}:
+            inverse = np.asarray(np.linalg.inv(found["matrix"].reshape(3, 3)), np.float64)
+            return inverse if convention == "lower-triangular" else found["rotation"].reshape(3, 3) @ inverse
         return found["correction_matrix"].reshape(3, 3)
     except (np.linalg.LinAlgError, OptionError):
         return np.full((3, 3), np.nan)

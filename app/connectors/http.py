@@ -78,9 +78,8 @@ class SourceClient:
         parts = urlsplit(url)
         if (parts.scheme, parts.hostname, parts.port) != self._place:
             raise SourceContentError("the source sends us to another host, which the settings do not name")
-        asked = {name: value for name, value in (("params", params), ("data", form)) if value}
         try:
-            with self._http.stream(method, url, **asked) as answer:
+            with self._http.stream(method, url, params=params or None, data=form) as answer:
                 if answer.status_code != 200:
                     raise _refusal(answer)
                 return _bounded(answer)

@@ -60,7 +60,8 @@ def _dataset(body: bytes, wanted: Wanted) -> Dataset:
         found = json.loads(require_no_page(body))
         if found["status"]["code"] not in OK:
             raise SourceContentError(f"the server says {found['status'].get('message', found['status']['code'])}")
-        columns, fills = [], {}
+        columns: list[str] = []
+        fills: dict[str, float] = {}
         for parameter in found["parameters"]:
             size = math.prod(parameter.get("size", [1]))
             own = [parameter["name"]] if "size" not in parameter else [f"{parameter['name']}[{n}]" for n in range(size)]

@@ -13,16 +13,15 @@ import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Final, Optional, Union
 
 import httpx2
-from pydantic import JsonValue
 
-from magcal_core.errors import MagcalError
-from magcal_core.telemetry import MEDIA_TYPES, format_of_name
+from magcal_client.errors import JobFailedError, ServiceAnswerError
 
+JsonValue = Union[None, bool, int, float, str, "list[JsonValue]", "dict[str, JsonValue]"]
 Record = dict[str, JsonValue]
-Query = str | Sequence[str]
+Query = Union[str, Sequence[str]]
 """Value of a query: one that is a sequence is sent once for each of its items."""
 Progress = Callable[[float], None]
 
@@ -32,38 +31,20 @@ LONGEST_PAUSE_S: Final = 30.0
 WORTH_REPEATING: Final = frozenset({408, 429, 502, 503, 504})
 PIECE_BYTES: Final = 1 << 18
 ENDED: Final = frozenset({"succeeded", "failed", "cancelled"})
-POLL_S: Final = 0.05
-LONGEST_POLL_S: Final = 1.0
+MEDIA_TYPES: Final = {
+    "csv": "text/csv",
+    "ndjson": "application/x-ndjson",
+    "json": "application/json",
+    "parquet": "application/vnd.apache.parquet",
+}
+ENDINGS: Final = {
+    ".csv": "csv", ".tsv": "csv", ".txt": "csv", ".ndjson": "ndjson", ".jsonl": "ndjson", ".json": "json",
+    ".parquet": "parquet", ".pq": "parquet",
+}  # fmt: skip
+PACKED: Final = frozenset({".gz", ".zst", ".zstd"})
 
 
-class ServiceAnswerError(MagcalError):
-    """The service refused a call; ``code`` and the message are its own."""
-
-    def __init__(self, status: int, problem: Mapping[str, JsonValue]) -> None:
-        faults = problem.get("errors")
-        self.faults = (
-            [f"{one['where']}: {one['why']}" for one in faults if isinstance(one, dict)]
-            if isinstance(faults, list)
-            else []
-        )
-        super().__init__("; ".join([str(problem.get("detail", f"HTTP {status}")), *self.faults[:3]]))
-        self.status = status
-        self.code = str(problem.get("code", "http"))  # type: ignore[misc]
-
-
-class ServiceUnreachableError(MagcalError):
-    """The service did not answer, however often it was asked."""
-
-    code = "unreachable"
-
-
-class JobFailedError(MagcalError):
-    """A job ended without a result."""
-
-    code = "job_failed"
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Call:
     """One call of the service: method, path under /api/v1, and what goes with it."""
 
@@ -72,7 +53,7 @@ class Call:
     params: Mapping[str, Query] = field(default_factory=dict)
     headers: Mapping[str, str] = field(default_factory=dict)
     json: JsonValue = None
-    content: bytes | None = None
+    content: Optional[bytes] = None
 
 
 def creation(path: str, body: Record) -> Call:
@@ -99,7 +80,7 @@ def upload_call(satellite: str, magnetometer: str, content: bytes, media_type: s
 
 def calibration_call(session_ids: list[str], options: Record) -> Call:
     """Return the call that starts a calibration; repeated, it starts none but the first."""
-    body: Record = {"kind": "calibration", "session_ids": list[JsonValue](session_ids), **options}
+    body: Record = {"kind": "calibration", "session_ids": list(session_ids), **options}
     return Call("POST", "/jobs", headers={"Idempotency-Key": uuid.uuid4().hex}, json=body)
 
 
@@ -108,6 +89,17 @@ def apply_call(parameter_set_id: str, content: bytes, media_type: str, form: str
     params = {"format": form, "inverse": str(inverse).lower()}
     headers = {"Content-Type": media_type, "Content-Length": str(len(content)), "Accept": "*/*"}
     return Call("POST", f"/parameter-sets/{parameter_set_id}/apply", params=params, headers=headers, content=content)
+
+
+def activation_call(parameter_set_id: str, *, force: bool) -> Call:
+    """Return the call that puts a parameter set in force; repeated, it changes nothing more."""
+    return Call("POST", f"/parameter-sets/{parameter_set_id}/activate", params={"force": str(force).lower()})
+
+
+def items_of(page: Record) -> list[Record]:
+    """Return the items of a part of a list."""
+    items = page.get("items")
+    return [one for one in items if isinstance(one, dict)] if isinstance(items, list) else []
 
 
 def result_path(job: Record) -> str:
@@ -162,5 +154,10 @@ def pieces(content: bytes, progress: Progress) -> Iterator[bytes]:
 
 def media_type_of(path: Path) -> str:
     """Return the media type of a telemetry file by its name; one that its name does not tell is left to its bytes."""
-    form = format_of_name(path)
-    return next((media_type for media_type, name in MEDIA_TYPES.items() if name == form), "application/octet-stream")
+    return MEDIA_TYPES.get(format_of_name(path) or "", "application/octet-stream")
+
+
+def format_of_name(path: Path) -> Optional[str]:
+    """Return the telemetry format that a file's name tells, compressed or not; None where it tells none."""
+    endings = [one.lower() for one in path.suffixes if one.lower() not in PACKED]
+    return ENDINGS.get(endings[-1]) if endings else None
