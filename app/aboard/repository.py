@@ -124,7 +124,7 @@ def not_aboard(session: Session) -> list[NotAboard]:
 
 
 def _read(row: AboardReport) -> AboardRead:
-    plain = {"state": row.state, "differences": [], "effect_nt": None, "effect_deg": None}
+    plain: dict[str, object] = {"state": row.state, "differences": [], "effect_nt": None, "effect_deg": None}
     about = {
         "matches_parameter_set_id": row.matches_parameter_set_id,
         "created_at": row.created_at,
