@@ -149,7 +149,7 @@ class JobRepository:
         if not made:
             return {}
         found = select(ParameterSet.job_id, ParameterSet.grade).where(ParameterSet.job_id.in_(made))
-        return dict(self.session.execute(found).tuples().all())
+        return {row.job_id: row.grade for row in self.session.execute(found)}
 
     def _progress(self, job: Job) -> float:
         is_sum = job.kind == KIND and job.state == "running"

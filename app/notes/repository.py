@@ -39,7 +39,8 @@ class NoteRepository:
 
     def _read(self, rows: list[Note]) -> list[NoteRead]:
         writers = {row.created_by for row in rows} - {None}
-        names = dict(self.session.execute(select(ApiKey.id, ApiKey.name).where(ApiKey.id.in_(writers))).tuples().all())
+        known = self.session.execute(select(ApiKey.id, ApiKey.name).where(ApiKey.id.in_(writers)))
+        names = {row.id: row.name for row in known}
         return [
             NoteRead(
                 id=row.id,
