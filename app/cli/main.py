@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import click
 
+from magcal_client.errors import ClientError, one_line
 from magcal_core.errors import InputError, MagcalError
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -71,6 +72,8 @@ def run(argv: list[str] | None = None) -> Any:
         click.echo("\n".join(lines), err=True)
     except MagcalError as error:
         click.echo(f"magcal: {error.code}: {error.message}", err=True)
+    except ClientError as error:
+        click.echo(one_line(error, "magcal"), err=True)
     except OSError as error:
         click.echo(f"magcal: {error}", err=True)
     sys.exit(1)

@@ -101,6 +101,7 @@ async def follow_events(
     """Follow what happens, from the event behind `Last-Event-ID` on, or from now; a revoked key sees no more."""
     newest: NewestEntry = request.app.state.newest_entry
     position, checked_s = start, time.monotonic()
+    yield ServerSentEvent(id=str(start), comment="from here on")  # so that who loses the stream at once loses nothing
     while not request.app.state.is_stopping():
         latest = await newest.position()
         if latest > position or time.monotonic() - checked_s > CHECK_KEY_EVERY_S:

@@ -42,7 +42,7 @@ class Ready(Record):
     store: State
     queue: State
     disk: State
-    stopped_sources: list[str] = Field(description="Sources of orbits that are no longer asked, and why.")
+    sources: str = Field(description="`ok`, or which sources of orbits are no longer asked, and why.")
 
 
 @router.get("/healthz")
@@ -64,7 +64,7 @@ def ready(  # noqa: PLR0917  FastAPI reads a call's inputs from its arguments
     }
     status = _state(all(state == "ok" for state in found.values()))
     response.status_code = 200 if status == "ok" else 503
-    return Ready(status=status, stopped_sources=_stopped(request, db), **found)
+    return Ready(status=status, sources=_stopped(request, db), **found)
 
 
 @router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
@@ -81,12 +81,12 @@ def _state(is_good: bool) -> State:
     return "ok" if is_good else "failing"
 
 
-def _stopped(request: Request, db: Db) -> list[str]:
+def _stopped(request: Request, db: Db) -> str:
     """Return which sources of orbits had to be stopped; that is no reason to take the service out of use."""
     if _database(db) != "ok":
-        return []
+        return "ok"
     found: list[str] = request.app.state.stopped_sources()
-    return found
+    return "; ".join(found) or "ok"
 
 
 def _database(db: Db) -> State:
