@@ -8,6 +8,7 @@ RUN python -m venv /opt/magcal \
 COPY pyproject.toml README.md ./
 COPY magcal_core magcal_core
 COPY migrations migrations
+COPY magcal_client magcal_client
 COPY app app
 RUN /opt/magcal/bin/pip install --no-cache-dir --disable-pip-version-check --no-deps .
 
