@@ -50,6 +50,8 @@ class Problem(TypedDict):
     detail: str
     code: str
     errors: NotRequired[list[FaultBody]]
+    diagnosis: NotRequired[dict[str, object]]
+    data_quality: NotRequired[dict[str, object]]
 
 
 STATUS: Final[Mapping[type[MagcalError], int]] = {
@@ -101,4 +103,9 @@ def problem_of(error: MagcalError) -> Problem:
     """Return the problem that tells of ``error``, without the values that were sent."""
     faults = error.faults if isinstance(error, InputError) else ()
     listed = [FaultBody(where=fault.where, why=fault.why) for fault in faults]
-    return problem(status_of(error), error.code, error.message, listed)
+    body = problem(status_of(error), error.code, error.message, listed)
+    if error.diagnosis is not None:
+        body["diagnosis"] = dict(error.diagnosis)
+    if error.data_quality is not None:
+        body["data_quality"] = dict(error.data_quality)
+    return body

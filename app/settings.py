@@ -52,7 +52,7 @@ class Settings(BaseSettings):
         2000, description="Connections at once; more are answered 503, fewer where the system allows fewer files."
     )
     min_free_mb: NonNegativeInt = Field(1024, description="Refuse uploads where the disk has less free, MiB.")
-    max_bad_samples: float = Field(0.05, ge=0, le=1, description="Refuse telemetry with more flagged samples (share).")
+    max_bad_samples: float = Field(0.5, ge=0, le=1, description="Refuse telemetry with more flagged samples (share).")
 
     job_timeout_s: PositiveFloat = Field(600.0, description="Kill a job's calculation after so long, s.")
     job_memory_mb: PositiveInt = Field(4096, description="Address space of a job's calculation, MiB.")

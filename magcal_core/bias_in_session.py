@@ -22,7 +22,7 @@ from magcal_core.orbit.messages.elements import elements_from_state
 from magcal_core.reference.referenced_samples import in_time_order
 from magcal_core.samples import SampleFlag, Samples
 
-_HARDLY_DETERMINED: Final = frozenset({"weakly_observable", "not_observable"})
+_HARDLY_DETERMINED: Final = frozenset({"field_uncertain", "not_observable"})
 """Reasons of a verdict where a step cannot be told from what the field does not show."""
 
 Again = Callable[[Samples, CalibrationOptions], Calibration]

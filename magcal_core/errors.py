@@ -1,6 +1,6 @@
 """The errors that magcal raises: each has a code that programs can read and a message with value, limit and unit."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -22,13 +22,18 @@ class Fault:
 
 
 class MagcalError(Exception):
-    """Base of everything that magcal raises on purpose."""
+    """Base of everything that magcal raises on purpose.
+
+    ``diagnosis``: why a calibration was refused, and ``data_quality``: what its rows are worth, where they are known.
+    """
 
     code: ClassVar[str] = "error"
 
     def __init__(self, message: str) -> None:
         super().__init__(message)
         self.message = message
+        self.diagnosis: Mapping[str, object] | None = None
+        self.data_quality: Mapping[str, object] | None = None
 
 
 class InputError(MagcalError):
@@ -223,6 +228,12 @@ class NotObservableError(EstimationError):
     def __init__(self, message: str, parameters: Sequence[str] = ()) -> None:
         super().__init__(message)
         self.parameters = tuple(parameters)
+
+
+class WrongInputError(NotObservableError):
+    """The data do not allow the estimate, and what is wrong with them has a name: ``diagnosis`` has it first."""
+
+    code = "wrong_input"
 
 
 class NoExcitationError(NotObservableError):

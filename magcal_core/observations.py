@@ -15,7 +15,16 @@ from magcal_core.numerics.vectors import lengths
 from magcal_core.samples import Samples, selects_all
 from magcal_core.sensor.correction import FittedReadings
 from magcal_core.sensor.parameters import Parameters
-from magcal_core.sensor.regressors import TIME_REGRESSOR, is_of_scale, is_step, regressor_of, source_of, step_column
+from magcal_core.sensor.regressors import (
+    RESPONSES,
+    TIME_REGRESSOR,
+    is_of_scale,
+    is_response,
+    is_step,
+    regressor_of,
+    source_of,
+    step_column,
+)
 from magcal_core.units import NT_PER_UNIT
 
 UNIT_RATIO: Final = (0.1, 10.0)
@@ -90,7 +99,7 @@ class Observations:
                 raise OrbitMissingError("the samples have no reference field")
             magnitude = np.linalg.norm(vector, axis=1)
         t_s = (used.t_utc - used.t_utc[0]) / np.timedelta64(1, "ns") * 1e-9
-        columns = {name: _regressor(used, name, t_s) for name in regressors}
+        columns = {name: _regressor(samples, is_used, name) for name in regressors}
         made = cls(
             t_s, _own(used.h_nt), _own(magnitude), None if b_base is None else _own(b_base), prior[is_used], columns
         )
@@ -148,20 +157,23 @@ def _own(array: Floats) -> Floats:
     return np.require(array, np.float64, ["C", "W"])
 
 
-def _regressor(samples: Samples, name: str, t_s: Floats) -> Floats:
+def _regressor(samples: Samples, is_used: NDArray[np.bool_], name: str) -> Floats:
+    """Return a regressor at the samples that are used; a lag reaches over samples that are not."""
     source = source_of(name)
-    if source == TIME_REGRESSOR and source not in samples.housekeeping:
-        return regressor_of(name, t_s / 3600.0, samples.h_nt)
+    t_s = (samples.t_utc - samples.t_utc[is_used][0]) / np.timedelta64(1, "ns") * 1e-9
+    columns = {TIME_REGRESSOR: t_s / 3600.0, **samples.housekeeping}
     if is_step(source):
-        return regressor_of(name, step_column(name, samples.t_utc), samples.h_nt)
-    if source not in samples.housekeeping:
-        known = ", ".join([TIME_REGRESSOR, *samples.housekeeping])
+        columns[source] = step_column(name, samples.t_utc)
+    if is_response(name):
+        return regressor_of(name, columns, samples.h_nt[is_used], t_s[is_used])
+    if source not in columns:
+        known = ", ".join([TIME_REGRESSOR, *samples.housekeeping, *RESPONSES])
         raise OptionError(f"no housekeeping column {source!r}; there are {known}")
-    column = np.asarray(samples.housekeeping[source], dtype=np.float64)
-    if np.isfinite(column).all() and np.ptp(column) == 0.0:
+    column = np.asarray(columns[source], dtype=np.float64)[is_used]
+    if source in samples.housekeeping and np.isfinite(column).all() and np.ptp(column) == 0.0:
         moved = "scale" if is_of_scale(name) else "bias"
         raise OptionError(f"regressor {name!r} is constant: it cannot be told from the {moved}")
-    return regressor_of(name, column, samples.h_nt)
+    return _own(regressor_of(name, columns, samples.h_nt, t_s)[is_used])
 
 
 def check_units(h_nt: Floats, b_nt: Floats) -> None:

@@ -13,8 +13,11 @@ from magcal_core.field.gaps import INDEX_GAPS
 METHODS: Final = ("scalar", "scalar-hooke-jeeves", "vector", "vector-closed-form")
 ORBIT_MODELS: Final = ("sgp4", "numerical")
 TIME_OFFSETS: Final = ("auto", "none", "estimate")
-ROBUST_LOSSES: Final = ("none", "huber", "soft_l1", "cauchy", "tukey")
-NOISE_MODELS: Final = ("none", "white")
+ROBUST_LOSSES: Final = ("auto", "none", "huber", "soft_l1", "cauchy", "tukey")
+RESPONSES: Final = ("none", "auto")
+GYRO_UNITS: Final = ("deg/s", "rad/s")
+NOISE_MODELS: Final = ("auto", "none", "white")
+LOCKED_TERMS: Final = ("auto", "none")
 BIAS_STEPS: Final = ("auto", "fit", "none")
 
 
@@ -30,11 +33,15 @@ class OptionValues(TypedDict, total=False):
     time_offset: str
     time_drift: bool
     regressors: str | tuple[str, ...]
+    response: str
     robust: str
     noise_model: str
     noise_nt: float | None
     bias_steps: str
     windows: float | str | None
+    locked_terms: str
+    gyro: tuple[str, ...]
+    gyro_unit: str
     max_orbit_age_days: float
     bootstrap: int
     seed: int
@@ -54,15 +61,22 @@ class CalibrationOptions:
     index_gap : ``refuse`` samples for which the index of the external field has no value, or take its ``mean``.
     quiet_only : use only samples of quiet hours, which needs Kp and an hourly index.
     orbit : ``sgp4`` as the elements are meant, or ``numerical`` integration from them.
-    time_offset : ``none``, ``estimate``, or ``auto``: where the orbit is more than 3 d from the data and they show one.
+    time_offset : ``none``, ``estimate``, or ``auto``: taken where the data show one that matters.
     time_drift : estimate a drift of the clock beside its offset.
     regressors : housekeeping columns that move the bias (``time``: hours since the first sample), or ``auto``;
-        ``temperature*h``: that column moves the scale.
-    robust, noise_model : loss and noise model.
+        ``temperature*h``: that column moves the scale; ``torque_0@1``: one sample late; ``torque_*``: three columns of
+        one stem; ``h^2``, ``h^3``, ``dh/dt``: responses of the sensor itself.
+    response : whether ``auto`` tries these responses as well: ``none`` or ``auto``.
+    robust : loss; ``auto``: none where the data are clean, else Tukey's from a start that half of the rows may be wrong
+        for.
+    noise_model : ``none``, ``white`` noise in the reading, or ``auto``: white where it moves a parameter by half its
+        standard error.
     noise_nt : noise of one component, nT, where it is known.
     bias_steps : ``auto``: look for steps of the bias inside the data and name them; ``fit``: fit them as well;
         ``none``.
     windows : hours of windows that are calibrated one by one beside the whole, with their trend, or ``auto``.
+    locked_terms : ``auto``: errors of the bias that follow orbit, heat and sun are considered; ``none``: they are not.
+    gyro, gyro_unit : three columns of angular rate, and ``deg/s`` or ``rad/s``: they tell the mounting.
     max_orbit_age_days : orbits further from the data are refused.
     bootstrap : replicates of the block bootstrap, 0 for none; ``seed`` makes them repeatable.
 
@@ -81,18 +95,23 @@ class CalibrationOptions:
     time_offset: str = "auto"
     time_drift: bool = False
     regressors: str | tuple[str, ...] = ()
-    robust: str = "none"
-    noise_model: str = "none"
+    response: str = "none"
+    robust: str = "auto"
+    noise_model: str = "auto"
     noise_nt: float | None = None
     bias_steps: str = "auto"
     windows: float | str | None = None
+    locked_terms: str = "auto"
+    gyro: tuple[str, ...] = ()
+    gyro_unit: str = "deg/s"
     max_orbit_age_days: float = 14.0
     bootstrap: int = 0
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if isinstance(self.regressors, list):
-            object.__setattr__(self, "regressors", tuple(self.regressors))
+        for name in ("regressors", "gyro"):
+            if isinstance(getattr(self, name), list):
+                object.__setattr__(self, name, tuple(getattr(self, name)))
         faults = [
             Fault(name, why, repr(getattr(self, name)))
             for name, check in _CHECKS.items()
@@ -121,10 +140,17 @@ class CalibrationOptions:
             raise OptionError("; ".join(f"{fault.where}: {fault.why}" for fault in unknown), unknown)
         return cls(**values)  # type: ignore[arg-type]
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether they ask for the plain fit of published figures, to the rows as they came."""
+        is_bare = self.robust == self.noise_model == self.time_offset == "none"
+        return is_bare and self.regressors == () and self.response == "none"
+
     def to_dict(self) -> dict[str, object]:
         """Return the options as the records of the service have them."""
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return values | {"regressors": self.regressors if isinstance(self.regressors, str) else list(self.regressors)}
+        regressors = self.regressors if isinstance(self.regressors, str) else list(self.regressors)
+        return values | {"regressors": regressors, "gyro": list(self.gyro)}
 
 
 _Check = Callable[[object], str | None]
@@ -182,6 +208,12 @@ def _windows(value: object) -> str | None:
     return None if _number(0.1, 8784.0, "h")(value) is None else "want hours, a number from 0.1 to 8784, or auto"
 
 
+def _gyro(value: object) -> str | None:
+    is_good = isinstance(value, tuple) and all(isinstance(name, str) and name for name in value)
+    is_whole = isinstance(value, tuple) and len(set(value)) == len(value) and len(value) in (0, 3)
+    return None if is_good and is_whole else "want three column names, one an axis"
+
+
 _CHECKS: Final[Mapping[str, _Check]] = {
     "method": _one_of(METHODS),
     "field": _field_name,
@@ -192,11 +224,15 @@ _CHECKS: Final[Mapping[str, _Check]] = {
     "time_offset": _one_of(TIME_OFFSETS),
     "time_drift": _flag,
     "regressors": _regressors,
+    "response": _one_of(RESPONSES),
     "robust": _one_of(ROBUST_LOSSES),
     "noise_model": _one_of(NOISE_MODELS),
     "noise_nt": _number(1e-6, 1e6, "nT", may_be_none=True),
     "bias_steps": _one_of(BIAS_STEPS),
     "windows": _windows,
+    "locked_terms": _one_of(LOCKED_TERMS),
+    "gyro": _gyro,
+    "gyro_unit": _one_of(GYRO_UNITS),
     "max_orbit_age_days": _number(0.0, 36525.0, "d"),
     "bootstrap": _whole(0, 10_000),
     "seed": _whole(0, 2**63 - 1),

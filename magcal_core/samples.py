@@ -26,7 +26,7 @@ class SampleFlag(enum.IntFlag):
     CONFLICTING_TIME = 4
     """same time as another sample, other values"""
     SATURATED = 8
-    """at or beyond the magnetometer's range"""
+    """at or beyond the magnetometer's range, or at an extreme where readings pile up"""
     SPIKE = 16
     """far from the fit and from its neighbours"""
     JUMP = 32
@@ -37,9 +37,19 @@ class SampleFlag(enum.IntFlag):
     """the quaternion is missing or not a unit quaternion"""
     NO_HOUSEKEEPING = 256
     """a housekeeping column has no value here"""
-    NOT_QUIET = 512
+    ZERO = 512
+    """all three axes are exactly 0"""
+    FILL_VALUE = 1024
+    """an axis holds a number that loggers write for a missing reading, foreign among its neighbours"""
+    STUCK = 2048
+    """in a run of equal readings that chance does not make"""
+    REPEATED = 4096
+    """a reading that occurs far more often than others do"""
+    FAR = 8192
+    """beyond the reach of the field model, or where the field is less than a twentieth of the session's largest"""
+    NOT_QUIET = 16384
     """only quiet hours were asked for, and this one is not known to be quiet"""
-    BIAS_STEP = 4096
+    BIAS_STEP = 32768
     """in one of the two blocks of time about a step of the bias that the fit has as an unknown"""
 
 
@@ -51,6 +61,11 @@ EXCLUDED: Final = (
     | SampleFlag.NO_REFERENCE
     | SampleFlag.NOT_QUIET
     | SampleFlag.BIAS_STEP
+    | SampleFlag.ZERO
+    | SampleFlag.FILL_VALUE
+    | SampleFlag.STUCK
+    | SampleFlag.REPEATED
+    | SampleFlag.FAR
 )
 """Flags that keep a sample out of every fit."""
 

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_core.calibration.estimators.contract import FitSettings
+from magcal_core.calibration.estimators.loss import AUTO, AUTO_LOSS, fit_under_loss
+from magcal_core.calibration.estimators.registry import ESTIMATORS
 from magcal_core.calibration.sessions.joint import DEFAULT_SHARED, JointFit, joint_fit
 from magcal_core.calibration.sessions.monitoring import ActiveSet, SessionJudgement, judge_session
 from magcal_core.calibration.sessions.two_magnetometers import Comparison, CorrectedReadings, compare_magnetometers
-from magcal_core.errors import OptionError
+from magcal_core.errors import EstimationError, OptionError
 from magcal_core.field import FieldModel
 from magcal_core.field.models import field_model
 from magcal_core.field.sources import FieldSources
@@ -19,7 +23,7 @@ from magcal_core.observations import Observations, corrected_nt
 from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
 from magcal_core.reference.columns import with_reference
-from magcal_core.reference.referenced_samples import Referenced, in_time_order, oriented
+from magcal_core.reference.referenced_samples import Referenced, has_columns, in_time_order, oriented
 from magcal_core.samples import Samples
 from magcal_core.sensor.parameters import Parameters
 from magcal_core.sensor.regressors import (
@@ -29,7 +33,6 @@ from magcal_core.sensor.regressors import (
     is_of_scale,
     missing_columns,
     regressor_of,
-    source_of,
     with_steps,
     with_time,
 )
@@ -73,7 +76,8 @@ def calibrate_jointly(
     begin = min((one for one in begun if one is not None), default=None)
     if begin is not None and TIME_REGRESSOR in chosen.regressors:
         observed = [_since_begin(o, one, begin) for o, one in zip(observed, begun, strict=True)]
-    fit = joint_fit(observed, list(sessions), shared=shared, is_vector=is_vector, robust=chosen.robust)
+    robust = _shared_loss(observed, chosen.robust, is_vector=is_vector)
+    fit = joint_fit(observed, list(sessions), shared=shared, is_vector=is_vector, robust=robust)
     return fit if TIME_REGRESSOR not in chosen.regressors else fit.with_time_base(begin)
 
 
@@ -87,6 +91,20 @@ def _since_begin(o: Observations, own: np.datetime64 | None, begin: np.datetime6
     return replace(
         o, regressors={**o.regressors, TIME_REGRESSOR: o.regressors[TIME_REGRESSOR] + hours_since(own, begin)}
     )
+
+
+def _shared_loss(observed: Sequence[Observations], asked: str, *, is_vector: bool) -> str:
+    """Return the loss for all sessions: of ``auto`` none where every session is clean, else Tukey's."""
+    if asked != AUTO:
+        return asked
+    estimator = ESTIMATORS["vector" if is_vector else "scalar"]
+    settings = FitSettings(AUTO)
+    for session in observed:
+        # A session too short to be calibrated alone shows no bad rows alone.
+        with suppress(EstimationError):
+            if not fit_under_loss(estimator, session, settings).is_clean:
+                return AUTO_LOSS
+    return "none"
 
 
 def monitor(
@@ -114,9 +132,7 @@ def monitor(
         in_time_order(samples), orbits, field, time_offset_s=offset_s, max_orbit_age_days=max_orbit_age_days
     )
     usable = filled.is_used & np.isfinite(_reference_of(filled, is_vector=active.is_vector))
-    for column in map(source_of, active.parameters.regressors):
-        if column in filled.housekeeping:
-            usable &= np.isfinite(filled.housekeeping[column])
+    usable &= has_columns(filled, tuple(active.parameters.regressors))
     active = _since(active, filled, usable)
     columns = list(active.parameters.regressors)
     observations = Observations.of(oriented(filled, usable), columns, usable.astype(np.float64))
@@ -184,9 +200,7 @@ def _corrected(samples: Samples, parameters: Parameters) -> CorrectedReadings:
     if missing:
         raise OptionError(f"no housekeeping column {missing[0]!r}, which the parameters need")
     n = len(used)
-    columns = {
-        name: regressor_of(name, np.asarray(keeping[source_of(name)], np.float64), used.h_nt)
-        for name in parameters.regressors
-    }
+    t_s = (used.t_utc - used.t_utc[0]) / np.timedelta64(1, "ns") * 1e-9 if n else np.zeros(0)
+    columns = {name: regressor_of(name, keeping, used.h_nt, t_s) for name in parameters.regressors}
     plain = Observations(np.zeros(n), used.h_nt, np.ones(n), None, np.ones(n), columns)
     return CorrectedReadings(used.t_utc, corrected_nt(plain, parameters))

@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -28,12 +29,15 @@ from app.cli.options import (
     sources_of,
     usage_error,
 )
-from magcal_core.errors import InputError, OptionError
+from magcal_core.errors import InputError, MagcalError, OptionError
 from magcal_core.options import (
     BIAS_STEPS,
+    GYRO_UNITS,
+    LOCKED_TERMS,
     METHODS,
     NOISE_MODELS,
     ORBIT_MODELS,
+    RESPONSES,
     ROBUST_LOSSES,
     TIME_OFFSETS,
     CalibrationOptions,
@@ -70,7 +74,7 @@ def telemetry_options(function: F) -> F:
         click.option("--validity-column", help="Column that says which readings are good."),
         click.option("--valid-value", "valid_values", multiple=True,
                      help="Value of it that does.  [default: all but 0, false, invalid, ..]"),
-        click.option("--max-bad", "max_bad_fraction", type=click.FloatRange(0, 1), default=0.05, show_default=True,
+        click.option("--max-bad", "max_bad_fraction", type=click.FloatRange(0, 1), default=0.5, show_default=True,
                      help="Share of samples without a reading or reference that is still accepted."),
         click.option("--any-field", is_flag=True,
                      help="Do not check the unit by |B| in low Earth orbit: other orbits, laboratory data."),
@@ -86,6 +90,8 @@ def _orbit_options(function: F) -> F:
         click.option("--state", type=INPUT_FILE, multiple=True,
                      help="State vector, JSON {epoch, frame, position_km, velocity_km_s}."),
         click.option("--orbit-file", type=INPUT_FILE, multiple=True, help="TLE, OMM, OEM or state vector."),
+        click.option("--candidate-tles", type=INPUT_FILE, multiple=True,
+                     help="TLEs of other objects: where the fit fails, the one that explains the readings is named."),
         click.option("--orbit", type=click.Choice(ORBIT_MODELS), help="How elements are propagated.  [default: sgp4]"),
         click.option("--max-orbit-age-days", type=float, help="Refuse orbits further from the data.  [default: 14]"),
         click.option("--field", help="Field model: igrf, igrf-14, igrf-13, dipole, file, +file, +rc, +dst, +mean.  "
@@ -101,13 +107,19 @@ def _estimation_options(function: F) -> F:
         click.option("--time-offset", type=click.Choice(TIME_OFFSETS), help="Clock offset.  [default: auto]"),
         click.option("--time-drift", is_flag=True, default=None, help="Estimate a drift of the clock as well."),
         click.option("--regressors", help="Columns that move the bias: a,b,.. or auto; a*h: the scale."),
-        click.option("--robust", type=click.Choice(ROBUST_LOSSES), help="Loss.  [default: none]"),
-        click.option("--noise-model", type=click.Choice(NOISE_MODELS), help="[default: none]"),
+        click.option("--response", type=click.Choice(RESPONSES),
+                     help="Whether auto tries h^2, h^3 and dh/dt too.  [default: none]"),
+        click.option("--robust", type=click.Choice(ROBUST_LOSSES), help="Loss.  [default: auto]"),
+        click.option("--noise-model", type=click.Choice(NOISE_MODELS), help="[default: auto]"),
         click.option("--noise", "noise_nt", type=float, help="Noise of a component, nT, where it is known."),
         click.option("--bias-steps", type=click.Choice(BIAS_STEPS),
                      help="Steps of the bias inside the data: named, fitted, or not looked for.  [default: auto]"),
         click.option("--windows", type=Windows(),
                      help="Calibrate windows of so many hours, or auto, one by one as well, with their trend."),
+        click.option("--locked-terms", type=click.Choice(LOCKED_TERMS),
+                     help="Errors of the bias that follow orbit, heat and sun.  [default: auto]"),
+        click.option("--gyro", help="Columns of the angular rate, wx,wy,wz: they tell how the sensor is mounted."),
+        click.option("--gyro-unit", type=click.Choice(GYRO_UNITS), help="Unit of the gyros.  [default: deg/s]"),
         click.option("--bootstrap", type=int, help="Replicates of the block bootstrap.  [default: 0]"),
         click.option("--seed", type=int, help="Seed of the bootstrap.  [default: 0]"),
     ])  # fmt: skip
@@ -130,6 +142,7 @@ def command(
     tle: tuple[Path, ...],
     state: tuple[Path, ...],
     orbit_file: tuple[Path, ...],
+    candidate_tles: tuple[Path, ...],
     index: tuple[Path, ...],
     field_file: Path | None,
     unit: str,
@@ -164,19 +177,26 @@ def command(
     if residuals is not None and format_of_name(residuals) is None:
         raise click.UsageError(f"{residuals}: the ending tells no format; use .csv, .ndjson, .json or .parquet")
     orbits = [orbit for path in (*tle, *state, *orbit_file) for orbit in orbits_of_file(path)]
+    candidates = [orbit for path in candidate_tles for orbit in orbits_of_file(path)]
     declared = Declared(nt_per_count, time_format, time_epoch, fill_values, validity_column, valid_values)
     reading = Reading(
         unit, columns, kind, range_nt, time_scale, max_bad_fraction, not any_field, declared, orbit_spans(orbits)
     )
-    samples, inputs = read_all(telemetry, reading)
+    with failures_as_json(as_json):
+        samples, inputs = read_all(telemetry, reading)
     if corrected_with is not None:
         samples = _uncorrected(samples, corrected_with, inputs)
-    with LateProgress("calibrating") as progress:
-        what = (samples, orbits, options)
+    with LateProgress("calibrating") as progress, failures_as_json(as_json):
         sources = sources_of(index, field_file)
-        in_force = _in_force(active)
         calibration = calibrate(
-            *what, index=sources.indices, field_file=sources.file, active=in_force, progress=progress
+            samples,
+            orbits,
+            options,
+            index=sources.indices,
+            field_file=sources.file,
+            active=_in_force(active),
+            candidates=candidates,
+            progress=progress,
         )
     record = parameter_set(calibration, inputs)
     if residuals is not None:
@@ -187,6 +207,20 @@ def command(
         click.echo(json.dumps(record))
     else:
         print_calibration(calibration)
+
+
+@contextmanager
+def failures_as_json(is_wanted: bool) -> Iterator[None]:
+    """Print what fails inside as JSON on stdout, where that is wanted, before it goes on to stderr and exit status."""
+    try:
+        yield
+    except MagcalError as error:
+        if is_wanted:
+            from app.records.json_numbers import without_nan
+
+            told = {"code": error.code, "detail": error.message, "diagnosis": error.diagnosis}
+            click.echo(json.dumps(without_nan({"error": {**told, "data_quality": error.data_quality}})))
+        raise
 
 
 @dataclass(frozen=True, slots=True)
@@ -299,6 +333,8 @@ def _options(asked: Mapping[str, object]) -> CalibrationOptions:
     regressors = given.get("regressors")
     if isinstance(regressors, str) and regressors != "auto":
         given["regressors"] = tuple(name.strip() for name in regressors.split(",") if name.strip())
+    if isinstance(gyro := given.get("gyro"), str):
+        given["gyro"] = tuple(name.strip() for name in gyro.split(",") if name.strip())
     try:
         return CalibrationOptions.from_dict(given)
     except OptionError as error:

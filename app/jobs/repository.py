@@ -149,7 +149,7 @@ class JobRepository:
         if not made:
             return {}
         found = select(ParameterSet.job_id, ParameterSet.grade).where(ParameterSet.job_id.in_(made))
-        return dict(self.session.execute(found).all())
+        return {job_id: grade for job_id, grade in self.session.execute(found)}  # noqa: C416  rows, not pairs
 
     def _progress(self, job: Job) -> float:
         is_sum = job.kind == KIND and job.state == "running"

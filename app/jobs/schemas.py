@@ -25,6 +25,11 @@ class CalibrationBody(JobBody, CalibrationOptionsBody):
     kind: Literal["calibration"]
     session_ids: list[Identifier] = Field(min_length=1, max_length=1000)
     field_file: Identifier | None = Field(None, description="Coefficients, for a field with `file`.")
+    candidate_orbits: list[Identifier] | None = Field(
+        None,
+        max_length=1000,
+        description="Orbits that a diagnosis tries where the calibration fails. Unset: all near ones in reach.",
+    )
 
 
 class ReprocessingBody(CalibrationOptionsBody):

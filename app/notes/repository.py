@@ -39,7 +39,8 @@ class NoteRepository:
 
     def _read(self, rows: list[Note]) -> list[NoteRead]:
         writers = {row.created_by for row in rows} - {None}
-        names = dict(self.session.execute(select(ApiKey.id, ApiKey.name).where(ApiKey.id.in_(writers))).all())
+        named = self.session.execute(select(ApiKey.id, ApiKey.name).where(ApiKey.id.in_(writers)))
+        names = {key_id: name for key_id, name in named}  # noqa: C416  rows are not pairs to a type checker
         return [
             NoteRead(
                 id=row.id,

@@ -15,6 +15,7 @@ import numpy as np
 import yaml
 
 from app.http.schemas import utc_text
+from app.parameter_sets.correction import rotation_of
 from app.parameter_sets.flight_tables import Document, fprime_parameters, gomspace_table
 from app.parameter_sets.schemas import ParameterSetRead
 from app.parameter_sets.worked_example import COLUMN, formula, rotation_of_symmetric, worked
@@ -59,12 +60,17 @@ def document_of(record: ParameterSetRead, convention: str) -> Document:
         "verdict": record.verdict.grade,
         "convention": convention,
         **base,
-        "formula": formula(convention, list(exact["regressors"]), is_since="time_base_utc" in exact),
+        "formula": formula(
+            convention,
+            list(exact["regressors"]),
+            is_since="time_base_utc" in exact,
+            is_full=bool(np.triu(record.matrix, 1).any()),
+        ),
         "parameters": parameters,
         "correction_matrix": record.correction_matrix,
         "worked_example": {
             "regressors": dict.fromkeys(exact["regressors"], COLUMN),
-            **asdict(worked(sensor, exact["regressors"])),
+            **asdict(worked(sensor, exact["regressors"], rotation_of(record.matrix))),
         },
     }
 

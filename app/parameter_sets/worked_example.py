@@ -8,11 +8,13 @@ from typing import Final
 
 import numpy as np
 
+from magcal_core.arrays import Floats
 from magcal_core.sensor.model import SensorModel
 from magcal_core.sensor.regressors import TIME_REGRESSOR, is_of_scale, source_of
 
 B_NT: Final = (21000.0, -14000.0, 33000.0)
 """The field of the worked reading, in the magnetometer's base frame, nT: of the size and slant of a low orbit's."""
+NO_TURN: Final[Floats] = np.eye(3)
 COLUMN: Final = 1.0
 """The value of every regressor's column in the worked reading."""
 
@@ -43,14 +45,25 @@ class Worked:
     magnitude_nt: float
 
 
-def formula(convention: str, regressors: Sequence[str], *, is_since: bool = False) -> str:
+FULL: Final = (
+    "corrected = correction_matrix * (raw - offset): the matrix is full, and the parameters of this convention are "
+    "those of its lower triangular factor, which give |corrected| alone"
+)
+"""The same where T has elements above its diagonal and the convention has none."""
+_TURNED: Final = frozenset({"exact", "lower-triangular", "on-board"})
+"""Conventions whose own formula ends along the sensor's axes, and not in a turned base frame."""
+
+
+def formula(convention: str, regressors: Sequence[str], *, is_since: bool = False, is_full: bool = False) -> str:
     """Return how a reading in nT is corrected in ``convention``, with the names that the export has.
 
-    ``is_since``: whether the regressor ``time`` counts since the ``time_base_utc`` of the export.
+    ``is_since``: whether the regressor ``time`` counts since the ``time_base_utc`` of the export; ``is_full``: whether
+    T has elements above its diagonal.
     """
     drift = "".join(f" + regressors.{name} * {_column(name, is_since=is_since)}" for name in regressors)
     axes = ", regressors of raw axis by axis" if any(map(is_of_scale, regressors)) else ""
-    return f"{FORMULAS[convention]}; offset = bias_nt{drift}; raw, offset, corrected in nT{axes}"
+    told = FULL if is_full and convention in _TURNED else FORMULAS[convention]
+    return f"{told}; offset = bias_nt{drift}; raw, offset, corrected in nT{axes}"
 
 
 def _column(name: str, *, is_since: bool) -> str:
@@ -59,14 +72,14 @@ def _column(name: str, *, is_since: bool) -> str:
     return f"{column} * raw" if is_of_scale(name) else column
 
 
-def worked(sensor: SensorModel, regressors: Mapping[str, Sequence[float]]) -> Worked:
-    """Return a reading with few digits near `B_NT`, corrected."""
+def worked(sensor: SensorModel, regressors: Mapping[str, Sequence[float]], rotation: Floats = NO_TURN) -> Worked:
+    """Return a reading with few digits near `B_NT`, corrected; ``rotation``: R of T = T_low R, shape (3, 3)."""
     drift_nt, share = np.zeros(3), np.zeros(3)
     for name, change in regressors.items():
         added = share if is_of_scale(name) else drift_nt
         added += COLUMN * np.asarray(change)
-    raw_nt = np.round((sensor.apply(B_NT) + drift_nt) / (1.0 - share), 1)
-    corrected_nt = sensor.correct(raw_nt * (1.0 - share) - drift_nt)
+    raw_nt = np.round((sensor.apply(np.array(B_NT) @ rotation.T) + drift_nt) / (1.0 - share), 1)
+    corrected_nt = sensor.correct(raw_nt * (1.0 - share) - drift_nt) @ rotation
     return Worked(raw_nt.tolist(), corrected_nt.tolist(), float(np.linalg.norm(corrected_nt)))
 
 

@@ -9,6 +9,13 @@ from pydantic import Field
 from app.http.schemas import Body
 
 
+class GyroBody(Body):
+    """The session's columns of angular rate, one an axis, and their unit."""
+
+    columns: tuple[str, str, str]
+    unit: Literal["deg/s", "rad/s"] = "deg/s"
+
+
 class CalibrationOptionsBody(Body):
     """Options of a calibration; what is left out has the default of `magcal calibrate`."""
 
@@ -21,8 +28,9 @@ class CalibrationOptionsBody(Body):
     time_offset: Literal["auto", "none", "estimate"] | None = None
     time_drift: bool | None = None
     regressors: list[str] | Literal["auto"] | None = None
-    robust: Literal["none", "huber", "soft_l1", "cauchy", "tukey"] | None = None
-    noise_model: Literal["none", "white"] | None = None
+    response: Literal["none", "auto"] | None = None
+    robust: Literal["auto", "none", "huber", "soft_l1", "cauchy", "tukey"] | None = None
+    noise_model: Literal["auto", "none", "white"] | None = None
     noise_nt: float | None = Field(None, gt=0, description="Unset: the magnetometer's.")
     bias_steps: Literal["auto", "fit", "none"] | None = Field(
         None, description="Steps of the bias inside the data: named, fitted, or not looked for."
@@ -30,6 +38,8 @@ class CalibrationOptionsBody(Body):
     windows: Annotated[float, Field(ge=0.1, le=8784)] | Literal["auto"] | None = Field(
         None, description="Hours of windows that are calibrated one by one as well, with their trend."
     )
+    locked_terms: Literal["auto", "none"] | None = None
+    gyro: GyroBody | None = None
     max_orbit_age_days: float | None = Field(None, ge=0, le=36525)
     bootstrap: int | None = Field(None, ge=0, le=10_000)
     seed: int | None = Field(None, ge=0)
@@ -37,5 +47,6 @@ class CalibrationOptionsBody(Body):
     @property
     def options(self) -> dict[str, object]:
         """The options that were given, under their names."""
-        names = set(CalibrationOptionsBody.model_fields)
-        return {name: value for name, value in self.model_dump(include=names).items() if value is not None}
+        names = set(CalibrationOptionsBody.model_fields) - {"gyro"}
+        given = {name: value for name, value in self.model_dump(include=names).items() if value is not None}
+        return given if self.gyro is None else {**given, "gyro": self.gyro.columns, "gyro_unit": self.gyro.unit}

@@ -133,6 +133,7 @@ def command_line(record: ParameterSetRecord) -> str:
         "noise": options.get("noise_nt"),
         "bias-steps": options.get("bias_steps"),
         "windows": options.get("windows"),
+        "locked-terms": options.get("locked_terms"),
         "bootstrap": options.get("bootstrap") or None,
         "seed": options.get("seed") or None,
         "max-orbit-age-days": options.get("max_orbit_age_days"),

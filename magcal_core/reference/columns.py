@@ -7,11 +7,13 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats, Mask, Times
 from magcal_core.attitude.rotation import rotate_rows
 from magcal_core.errors import ModelRangeError, OrbitMissingError, TleEpochError
 from magcal_core.field import FieldModel
+from magcal_core.field.igrf import MAX_RADIUS_KM
 from magcal_core.numerics.vectors import lengths
 from magcal_core.orbit import Orbit
 from magcal_core.orbit.choose import (
@@ -33,6 +35,8 @@ from magcal_core.telemetry.time_guesses import on_distance, spans_of
 
 TELEMETRY_REFERENCE: Final = "telemetry-reference"
 TELEMETRY_POSITION: Final = "telemetry-position"
+WEAK_SHARE: Final = 0.05
+"""Field, as a share of the session's largest, below which a sample says more of the bias than of the sensor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +108,8 @@ def with_reference(
         if has_place.all() or not orbits:
             report = ReferenceReport(TELEMETRY_POSITION, (), field.name)
             parts = [Part.of(None, np.flatnonzero(has_place))]
-            return _with_field(samples, t_true, samples.r_itrf_km, parts, field), report
+            filled = _with_field(samples, t_true, samples.r_itrf_km, parts, field)
+            return filled, replace(report, warnings=_far_warnings(filled))
     return _from_orbits(samples, t_true, orbits, field, max_age_days=max_orbit_age_days)
 
 
@@ -133,7 +138,19 @@ def _from_orbits(
         "+".join(sorted(models)), tuple(entries), field.name, tuple(warnings), float(interpolation_km)
     )
     cleared = samples.flags & ~np.where(has_place, np.uint16(SampleFlag.NO_REFERENCE), np.uint16(0))
-    return _with_field(replace(samples, flags=cleared), t_true, r_itrf_km, parts, field), report
+    filled = _with_field(replace(samples, flags=cleared), t_true, r_itrf_km, parts, field)
+    return filled, replace(report, warnings=(*report.warnings, *_far_warnings(filled)))
+
+
+def _far_warnings(samples: Samples) -> tuple[str, ...]:
+    """Return a warning of the samples that are too far out to be used; none where there are none."""
+    count = int(np.count_nonzero(samples.flags & np.uint16(SampleFlag.FAR)))
+    if not count:
+        return ()
+    return (
+        f"far_samples_left_out: {count} of {len(samples)} samples are beyond {MAX_RADIUS_KM:.0f} km, or where the "
+        f"field is less than a {1 / WEAK_SHARE:.0f}th of the session's largest",
+    )
 
 
 def _predicted_earth(t_utc: Times) -> list[str]:
@@ -252,6 +269,10 @@ def _not_covered(orbits: Sequence[Orbit], t_utc: Times) -> str:
 def _with_field(samples: Samples, t_utc: Times, r_itrf_km: Floats, parts: Sequence[Part], field: FieldModel) -> Samples:
     """Return the samples with position and field; ``t_utc`` is the true time of each."""
     n, q = len(samples), samples.q_base_gcrf
+    is_far = lengths(r_itrf_km) > MAX_RADIUS_KM
+    if is_far.any() and not is_far.all():
+        near = [(part.orbit, _rows_of(part, n)) for part in parts]
+        parts = [Part.of(orbit, rows[~is_far[rows]]) for orbit, rows in near if not is_far[rows].all()]
     magnitude_nt = np.full(n, np.nan)
     b_gcrf_nt, b_base_nt = (None, None) if q is None else np.full((2, n, 3), np.nan)
     for rows, b_nt in field_of_parts(t_utc, parts, field, is_gcrf=q is not None, r_itrf_km=r_itrf_km):
@@ -266,7 +287,14 @@ def _with_field(samples: Samples, t_utc: Times, r_itrf_km: Floats, parts: Sequen
         b_ref_gcrf_nt=b_gcrf_nt,
         b_ref_base_nt=b_base_nt,
     )
-    return filled.flagged(SampleFlag.NO_REFERENCE, np.isnan(magnitude_nt))
+    is_far |= magnitude_nt < WEAK_SHARE * np.nanmax(magnitude_nt, initial=0.0)
+    if is_far.any():
+        filled = filled.flagged(SampleFlag.FAR, is_far)
+    return filled.flagged(SampleFlag.NO_REFERENCE, np.isnan(magnitude_nt) & ~is_far)
+
+
+def _rows_of(part: Part, n: int) -> NDArray[np.intp]:
+    return np.arange(n)[part.rows]
 
 
 def finite_rows(columns: Floats) -> Mask:

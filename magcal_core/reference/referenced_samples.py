@@ -27,34 +27,40 @@ from magcal_core.reference.columns import (
 )
 from magcal_core.reference.shifted_times import MovingReference
 from magcal_core.samples import SampleFlag, Samples
-from magcal_core.sensor.regressors import source_of
+from magcal_core.sensor.regressors import OF_SCALE, TIME_REGRESSOR, lag_of, lagged, source_of
+from magcal_core.telemetry.screen import screened, unscreened
 
-MAX_BAD_FRACTION: Final = 0.05
-"""Share of readings that are not finite, and that no reader has flagged, from which on the data are refused."""
+MAX_BAD_FRACTION: Final = 0.5
+"""Share of readings that are not finite or hold a fill value from which on the data are refused."""
 
 _USES: Final = 4
 """How often a search for the clock asks for the reference at least: twice about each of two places."""
 
 
-def in_time_order(samples: Samples) -> Samples:
-    """Return the samples in time order, equal times by their readings, with readings that are not finite flagged.
+def in_time_order(samples: Samples, *, is_plain: bool = False) -> Samples:
+    """Return the samples in time order, equal times by their readings, with rows flagged that cannot be readings.
+
+    ``is_plain``: only rows without a reading are, as the plain fit of published figures has it.
 
     Raises
     ------
     TooManyBadSamplesError
-        More than `MAX_BAD_FRACTION` of the readings are not finite and no reader has flagged them.
+        More than `MAX_BAD_FRACTION` of the readings are not finite or hold a fill value.
     """
     h, t_utc = samples.h_nt, samples.t_utc
     ordered = samples
     if not np.all(t_utc[1:] > t_utc[:-1]):
         ordered = samples.take(np.lexsort((h[:, 2], h[:, 1], h[:, 0], t_utc)))
     is_bad = ~finite_rows(ordered.h_nt) | np.isnat(ordered.t_utc)
-    is_new = is_bad & ordered.is_used
-    if np.count_nonzero(is_new) > MAX_BAD_FRACTION * len(samples):
+    marked = ordered.flagged(SampleFlag.NOT_FINITE, is_bad) if is_bad.any() else ordered
+    found = unscreened(marked) if is_plain else screened(marked)
+    is_empty = (found.flags & np.uint16(SampleFlag.NOT_FINITE | SampleFlag.FILL_VALUE)) != 0
+    bad = int(np.count_nonzero(is_empty))
+    if bad and bad >= MAX_BAD_FRACTION * len(samples):
         raise TooManyBadSamplesError(
-            f"{np.count_nonzero(is_new)} of {len(samples)} readings are not finite, limit {MAX_BAD_FRACTION:.0%}"
+            f"{bad} of {len(samples)} readings are empty, not finite or fill values, limit {MAX_BAD_FRACTION:.0%}"
         )
-    return ordered.flagged(SampleFlag.NOT_FINITE, is_bad)
+    return found
 
 
 class ReferenceOptions(Protocol):
@@ -88,6 +94,11 @@ class ReferenceOptions(Protocol):
     @property
     def max_orbit_age_days(self) -> float:
         """Orbits further from the data are refused, days."""
+        ...
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether every reading counts, as for the plain fit of published figures."""
         ...
 
 
@@ -128,7 +139,7 @@ class Referenced:
         InputError
             What `in_time_order` and `with_reference` raise.
         """
-        ordered = in_time_order(samples)
+        ordered = in_time_order(samples, is_plain=options.is_plain)
         at_hand = FieldSources() if sources is None else sources
         field = field_model(options.field, options.field_max_degree, index_gap=options.index_gap, sources=at_hand)
         external = ExternalKnowledge.of(field, at_hand)
@@ -171,10 +182,7 @@ class Referenced:
             usable &= np.isfinite(samples.b_ref_magnitude_nt)
         if is_vector and samples.b_ref_base_nt is not None:
             usable &= finite_rows(samples.b_ref_base_nt)
-        for source in map(source_of, regressors):
-            if source in samples.housekeeping:
-                usable &= np.isfinite(samples.housekeeping[source])
-        return usable
+        return usable & has_columns(samples, regressors)
 
     def observations(self, usable: NDArray[np.bool_], regressors: Sequence[str]) -> Observations:
         """Return the ``usable`` samples as an estimator sees them; without attitude where some of them have none."""
@@ -196,6 +204,22 @@ class Referenced:
         """Return the same, made ready to be asked for the reference at shifted times again and again."""
         used = _observed(self.samples).take(usable)
         return MovableObservations.of(used, regressors, self.orbits, self.field, uses=_USES)
+
+
+def has_columns(samples: Samples, regressors: Sequence[str]) -> NDArray[np.bool_]:
+    """Return which samples, in time order, have a value of every column that ``regressors`` name, at its lag."""
+    has = np.ones(len(samples), dtype=bool)
+    t_s: Floats | None = None
+    for name in regressors:
+        source = source_of(name)
+        if source not in samples.housekeeping and source != TIME_REGRESSOR:
+            continue
+        lag = lag_of(name.removesuffix(OF_SCALE))[1]
+        if lag and t_s is None and len(samples):
+            t_s = (samples.t_utc - samples.t_utc[0]) / np.timedelta64(1, "ns") * 1e-9
+        column = np.asarray(samples.housekeeping.get(source, np.zeros(len(samples))), np.float64)
+        has &= np.isfinite(column if t_s is None else lagged(column, lag, t_s))
+    return has
 
 
 @dataclass(frozen=True, slots=True, eq=False)

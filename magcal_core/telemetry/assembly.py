@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from magcal_core.arrays import Floats
 from magcal_core.errors import TelemetryFormatError
 from magcal_core.samples import SampleFlag, Samples
-from magcal_core.telemetry import quality
+from magcal_core.telemetry import quality, screen
 from magcal_core.telemetry.columns import (
     ATTITUDE,
     POSITION,
@@ -79,9 +79,10 @@ def assemble(table: RawTable, judgement: Judgement = AS_SENT) -> Telemetry:
     factor = nt_per(judgement.unit, judgement.nt_per_count)
     t_ns, order, rows_out_of_order = _time_order(table, judgement.time_scale)
     without_time = len(table.t_ns) - len(t_ns)
-    reading, is_complete = _stacked(table, READING, order)
+    reading, is_complete = _stacked(table, READING, order, fills=())
     is_complete = is_complete and not _leave_out(reading, table.is_valid, order, judgement.fill_values)
     flags = _flags(reading, is_complete, factor, judgement.range_nt)
+    flags |= screen.fill_flags(reading, (flags & np.uint16(SampleFlag.NOT_FINITE)) == 0)
     reference = {
         group: _optional(table, group, order) for group in (REFERENCE_BASE, REFERENCE_GCRF, REFERENCE_MAGNITUDE)
     }
@@ -135,7 +136,12 @@ def _time_order(table: RawTable, time_scale: str) -> tuple[NDArray[np.int64], ND
     return t_ns[order], order if rows is None else rows[order], backwards
 
 
-def _stacked(table: RawTable, names: tuple[str, ...], order: NDArray[np.intp] | None) -> tuple[Floats, bool]:
+def _stacked(
+    table: RawTable,
+    names: tuple[str, ...],
+    order: NDArray[np.intp] | None,
+    fills: tuple[float, ...] = quality.FILL_VALUES,
+) -> tuple[Floats, bool]:
     """Return columns side by side in time order, and whether every cell has a value; one without is NaN."""
     columns = [table.numbers[name] if order is None else table.numbers[name][order] for name in names]
     stacked, is_complete = np.empty((len(columns[0]), len(names))), True
@@ -143,7 +149,7 @@ def _stacked(table: RawTable, names: tuple[str, ...], order: NDArray[np.intp] | 
     for at in range(0, len(stacked), quality.CELLS_AT_ONCE):
         rows = slice(at, at + quality.CELLS_AT_ONCE)
         for i, column in enumerate(columns):
-            missing = quality.is_missing(column[rows])
+            missing = quality.is_missing(column[rows], fills)
             is_gap = bool(missing.any())
             stacked[rows, i] = np.where(missing, np.nan, column[rows]) if is_gap else column[rows]
             is_complete = is_complete and not is_gap

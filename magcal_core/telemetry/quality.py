@@ -15,8 +15,10 @@ from magcal_core.samples import SampleFlag, Samples
 from magcal_core.telemetry.faults import FaultList
 from magcal_core.units import COUNTS, NT_PER_UNIT
 
-MAX_BAD_FRACTION: Final = 0.05
+MAX_BAD_FRACTION: Final = 0.5
 """Share of samples without a usable reading or reference past which a table is refused."""
+FEWEST_USED: Final = 10
+"""Samples with a reading that must be left where some have none."""
 MAX_CONFLICT_FRACTION: Final = 0.01
 """Share of samples that claim the time of another one with other values past which a table is refused."""
 LARGEST_CELL: Final = 1e100
@@ -78,8 +80,8 @@ class Quality:
         return report | {"flags": dict(self.flags), "columns_ignored": list(self.columns_ignored)}
 
 
-def is_missing(values: Floats) -> Mask:
-    """Return which cells hold no reading: empty, not finite, past all measure, or a logger's fill value; shape (n,)."""
+def is_missing(values: Floats, fills: tuple[float, ...] = FILL_VALUES) -> Mask:
+    """Return which cells hold no number: empty, not finite, past all measure, or one of ``fills``; shape (n,)."""
     missing = np.empty(len(values), bool)
     for at in range(0, len(values), CELLS_AT_ONCE):
         cells = values[at : at + CELLS_AT_ONCE]
@@ -90,7 +92,7 @@ def is_missing(values: Floats) -> Mask:
         else:
             np.logical_not(np.abs(cells) <= LARGEST_CELL, out=part)
             low, high = -LARGEST_CELL, LARGEST_CELL
-        for fill in FILL_VALUES:
+        for fill in fills:
             if low <= fill <= high:
                 part |= cells == fill
     return missing
@@ -155,13 +157,18 @@ def check_bad_share(samples: Samples, rows_without_time: int, limit: float) -> N
     TooManyBadSamplesError
         Their share is above ``limit``.
     """
-    flag = np.uint16(SampleFlag.NOT_FINITE | SampleFlag.NO_REFERENCE)
+    flag = np.uint16(SampleFlag.NOT_FINITE | SampleFlag.NO_REFERENCE | SampleFlag.FILL_VALUE)
     bad = int(np.count_nonzero(samples.flags & flag)) + rows_without_time
     rows = len(samples) + rows_without_time
     if bad > limit * rows:
         raise TooManyBadSamplesError(
             f"{bad} of {rows} samples ({100 * bad / rows:.1f} %) have an empty, non-finite or fill value "
             f"where a number is needed; the limit is {100 * limit:g} %"
+        )
+    if bad and rows - bad < FEWEST_USED and limit < 1.0:
+        raise TooManyBadSamplesError(
+            f"{bad} of {rows} samples have an empty, non-finite or fill value where a number is needed; "
+            f"{rows - bad} are left, at least {FEWEST_USED} are needed"
         )
 
 

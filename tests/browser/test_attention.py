@@ -84,7 +84,7 @@ def test_a_disagreeing_session_is_said_and_mended_by_two_clicks(desk: Watched, t
 
     mend("no_active_set")
     moved = flown.h_nt + np.array([0.0, 2000.0, 0.0])
-    send(troubled, "lantern", replace(flown, h_nt=moved, t_utc=flown.t_utc + np.timedelta64(3, "h")))
+    send(troubled, "lantern", replace(flown, h_nt=moved))
     told = entry(page, "Lantern", "session_disagrees")
     expect(told).to_contain_text("disagrees with the set in force", timeout=JOB_MS)
     row = page.get_by_role("region", name="Satellites").locator("tbody tr", has_text="Lantern")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from multiprocessing.connection import Connection
 
+import app.jobs.kinds.registry  # noqa: F401  every table that a row may name
 from app.access.caller import SYSTEM
 from app.errors import ConflictError
 from app.maintenance.rebuild import rebuild

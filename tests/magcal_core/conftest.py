@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from magcal_core.samples import Samples
 from magcal_core.sensor.model import SensorModel
 from magcal_core.telemetry import read_samples
+from magcal_core.telemetry.screen import unscreened
 
 TABLE_1 = SensorModel([2928.125, -1191.25, -1875.625], [1.032695, 1.006685, 1.032875], [-4.53, -1.067, 7.915])
 
@@ -33,7 +34,9 @@ def case(data_dir: Path) -> Callable[[str], Case]:
     folder = data_dir / "calibration"
 
     def load(name: str) -> Case:
-        return Case(read_samples(folder / f"{name}.csv"), json.loads((folder / f"{name}.answer.json").read_text()))
+        return Case(
+            unscreened(read_samples(folder / f"{name}.csv")), json.loads((folder / f"{name}.answer.json").read_text())
+        )
 
     return load
 

@@ -29,6 +29,10 @@ BRO4_COLUMNS = {"time": "ts", "bx": "extmag_0", "by": "extmag_1", "bz": "extmag_
 BRO4_REFERENCE = {f"ref_eci_{axis}": f"ephem_mageci_{i}" for i, axis in enumerate("xyz")}
 
 
+PLAIN = {"robust": "none", "noise_model": "none", "time_offset": "none"}
+"""The plain fit, to the rows as they came: that of published figures."""
+
+
 @pytest.fixture(scope="module")
 def nominal(data_dir):
     return read_samples(data_dir / "calibration" / "nominal.csv")
@@ -52,7 +56,7 @@ def test_worked_case_comes_out_of_the_record(data_dir, name, method):
     """The same minimiser, deterministic: 1e-6 of max(1, |answer|); the search 1e-4."""
     folder = data_dir / "calibration"
     expected = json.loads((folder / f"{name}.answer.json").read_text())["expected"]
-    record = calibrate(read_samples(folder / f"{name}.csv"), method=method).to_dict()
+    record = calibrate(read_samples(folder / f"{name}.csv"), method=method, **PLAIN).to_dict()
     key = {"scalar": "scalar_lm", "scalar-hooke-jeeves": "scalar_lm", "vector": "forward_ml"}.get(method, "ols_inverse")
     rel = 1e-4 if method == "scalar-hooke-jeeves" else 1e-6
     for mine, theirs in (("scale", "k"), ("nonorthogonality_deg", "eps_deg"), ("bias_nt", "b_nT")):
@@ -103,20 +107,38 @@ def test_readings_that_are_not_finite_are_flagged_and_left_out(nominal):
     assert calibration.samples == 573
     assert np.flatnonzero(calibration.residuals.flags & SampleFlag.NOT_FINITE).tolist() == [3, 70]
     assert np.flatnonzero(calibration.residuals.weight == 0).tolist() == [3, 70]
-    h[:40] = np.inf
+    h[:300] = np.inf
     with pytest.raises(TooManyBadSamplesError):
         calibrate(replace(nominal, h_nt=h))
 
 
-@pytest.mark.parametrize("method", ["vector", "vector-closed-form"])
 @pytest.mark.parametrize("turn_deg", [5.0, 8.0])
-def test_reference_in_a_turned_frame_is_refused_with_the_reason(nominal, method, turn_deg):
+def test_the_closed_form_refuses_a_reference_in_a_turned_frame(nominal, turn_deg):
     turn = np.deg2rad(turn_deg)
     rotation = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
-    got = calibrate(replace(nominal, b_ref_base_nt=nominal.b_ref_base_nt @ rotation), method=method)
+    got = calibrate(replace(nominal, b_ref_base_nt=nominal.b_ref_base_nt @ rotation), method="vector-closed-form")
     assert got.verdict.grade == "refuse"
     assert "misaligned" in [reason.code for reason in got.verdict.reasons]
     assert got.extras["full_matrix"]["rotation_deg"] == pytest.approx(turn_deg, abs=0.1)
+
+
+def test_a_reference_in_a_turned_frame_gives_the_full_matrix(nominal):
+    """T = T_low R: the matrix has the turn, scale and angles are those of T_low, and a warning says so."""
+    turn = np.deg2rad(8.0)
+    rotation = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    straight = calibrate(nominal, method="vector")
+    got = calibrate(replace(nominal, b_ref_base_nt=nominal.b_ref_base_nt @ rotation), method="vector")
+    assert (straight.extras["parameters_of"], got.extras["parameters_of"]) == ("lower", "full")
+    assert got.verdict.grade == "accept"
+    assert [one for one in got.warnings if one.startswith("misaligned")]
+    np.testing.assert_allclose(got.matrix, straight.matrix @ rotation, atol=1e-3)
+    np.testing.assert_allclose(got.parameters.scale, straight.parameters.scale, atol=1e-3)
+    errors = np.array(got.extras["matrix_standard_errors"])
+    assert np.all(errors > 0)
+    assert not np.triu(straight.extras["matrix_standard_errors"], 1).any()
+    covariance = np.array(got.extras["covariance_full"])
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance))[[0, 1, 2]], errors[0])
+    np.testing.assert_allclose(got.matrix @ got.correction_matrix, np.eye(3), atol=1e-12)
 
 
 def test_samples_without_a_reference_need_an_orbit(nominal):
@@ -169,7 +191,7 @@ def test_options_round_trip():
 @pytest.fixture(scope="module")
 def on_board(bro4_dir):
     samples = read_samples(bro4_dir / "external.csv", columns=BRO4_COLUMNS | BRO4_REFERENCE, unit="mG")
-    return calibrate(samples)
+    return calibrate(samples, **PLAIN)
 
 
 @pytest.fixture(scope="module")
@@ -203,7 +225,7 @@ class TestBro4:
         assert on_board.standard_errors.bias_nt.max() > 40
 
     def test_stale_tle_without_offset(self, bare, tle):
-        got = calibrate(bare, tle, max_orbit_age_days=60.0, time_offset="none")
+        got = calibrate(bare, tle, max_orbit_age_days=60.0, **PLAIN)
         assert got.after.rms_nt == pytest.approx(423, abs=5)
         assert [w for w in got.warnings if w.startswith("tle_old")]
         assert got.verdict.grade == "refuse"
@@ -214,7 +236,7 @@ class TestBro4:
 
     @pytest.mark.parametrize("method", ["scalar", "scalar-hooke-jeeves"])
     def test_stale_tle_with_its_offset_estimated(self, bare, tle, on_board, method):
-        got = calibrate(bare, tle, max_orbit_age_days=60.0, method=method)
+        got = calibrate(bare, tle, max_orbit_age_days=60.0, method=method, robust="none")
         assert got.parameters.time_offset_s == pytest.approx(31, abs=1)
         assert got.after.rms_nt <= 195
         assert np.abs(got.parameters.bias_nt - on_board.parameters.bias_nt).max() <= 50
@@ -294,15 +316,30 @@ class TestTimeOffset:
         """Within four of its own standard errors; sign: what must be added to the telemetry's clock."""
         got = calibrate(self.flown(orbit, offset_s), [orbit], method=method, time_offset="estimate")
         error = got.standard_errors.time_offset_s
-        assert error < 0.5
+        assert error < (1.5 if method == "scalar" else 0.5)
         assert got.parameters.time_offset_s == pytest.approx(offset_s, abs=4 * error)
-        assert got.extras["time_offset"]["is_significant"]
+        assert got.extras["time_offset"]["is_significant"] is (abs(got.parameters.time_offset_s) > 2.2 * error)
 
-    def test_auto_looks_only_where_the_orbit_is_old(self, orbit):
-        fresh = calibrate(self.flown(orbit, 5.0), [orbit])
-        assert fresh.parameters.time_offset_s is None
-        old = calibrate(self.flown(orbit, 5.0, days=5.0), [orbit])
-        assert old.parameters.time_offset_s == pytest.approx(5.0, abs=0.5)
+    @pytest.mark.parametrize("days", [0.0, 5.0])
+    def test_auto_finds_an_offset_whatever_the_age_of_the_orbit(self, orbit, days):
+        """Of a fresh orbit 5 s are taken; of one that is 5 days off only what its own error does not explain."""
+        offset_s = 5.0 if not days else 20.0
+        got = calibrate(self.flown(orbit, offset_s, days=days), [orbit])
+        assert got.parameters.time_offset_s == pytest.approx(offset_s, abs=4 * got.standard_errors.time_offset_s)
+        assert got.extras["time_offset"]["is_taken"]
+        left = calibrate(self.flown(orbit, 0.5, days=days), [orbit])
+        assert left.parameters.time_offset_s is None
+        assert not left.extras["time_offset"]["is_taken"]
+
+    @pytest.mark.parametrize("offset_s", [300.0, -1000.0, 20000.0])
+    def test_a_clock_that_is_far_off_is_suspected_unasked_and_taken_where_it_is_asked_for(self, orbit, offset_s):
+        samples = replace(self.flown(orbit, offset_s), q_base_gcrf=None)
+        asked = calibrate(samples, [orbit], time_offset="estimate")
+        assert asked.parameters.time_offset_s == pytest.approx(offset_s, abs=4 * asked.standard_errors.time_offset_s)
+        coarse = asked.extras["time_offset"]["coarse"]
+        assert coarse["offset_s"] == pytest.approx(offset_s, abs=3.0)
+        assert coarse["ratio_to_plain"] < 1.0 / 3.0 < 1.3 < coarse["next_ratio"]
+        assert asked.verdict.grade == "accept"
 
     def test_auto_leaves_out_an_offset_that_the_data_do_not_show(self, orbit):
         got = calibrate(self.flown(orbit, 0.0, days=5.0), [orbit])
@@ -315,8 +352,8 @@ class TestTimeOffset:
         clock = calibrate(self.flown(orbit, 0.0), [orbit], time_offset="estimate").extras["time_offset"]
         assert clock["detectable_s"] == pytest.approx(3.815 * clock["standard_error_s"], rel=1e-3)
 
-    def test_a_wave_of_the_bias_is_told_and_does_not_widen_the_offset(self, orbit):
-        """94 min and 150 nT over 3.2 h: told to 10 %, and the offset's error stays within 1.6 times that without it.
+    def test_a_wave_of_the_orbit_is_told_and_does_not_widen_the_offset(self, orbit):
+        """94 min and 150 nT over 3.2 h: told, and the offset's error stays within twice that without it.
 
         As an error with a memory, which it is where nobody names it, such a wave makes it three times as large.
         """
@@ -325,14 +362,22 @@ class TestTimeOffset:
         waved = Disturbances(50.0, time_offset_s=1.0, wave_nt=(100.0, -80.0, 80.0), wave_period_s=5640.0)
         samples = simulate(orbit, sensor, start, 11500.0, 10.0, disturbances=waved, seed=3).samples
         got = calibrate(samples, [orbit], time_offset="estimate")
-        (warning,) = [one for one in got.warnings if one.startswith("bias_waves")]
-        assert "min" in warning
+        assert [one for one in got.warnings if one.startswith("bias_locked")]
         clock = got.extras["time_offset"]
-        assert min(abs(period_s - 5640.0) for period_s in clock["wave_periods_s"]) < 564.0
         quiet = calibrate(self.flown(orbit, 1.0), [orbit], time_offset="estimate")
-        assert not quiet.extras["time_offset"]["wave_periods_s"]
-        assert clock["standard_error_s"] < 1.6 * quiet.extras["time_offset"]["standard_error_s"]
+        assert clock["standard_error_s"] < 2.0 * quiet.extras["time_offset"]["standard_error_s"]
         assert clock["offset_s"] == pytest.approx(1.0, abs=4 * clock["standard_error_s"])
+
+    def test_a_wave_of_another_period_is_an_unknown_beside_the_offset(self, orbit):
+        """40 min and 150 nT: no family has it, and its period is told to 10 %."""
+        start = orbit.epoch_utc.astype("datetime64[s]")
+        sensor = SensorModel([2928.125, -1191.25, -1875.625], [1.032695, 1.006685, 1.032875], [-4.53, -1.067, 7.915])
+        waved = Disturbances(50.0, time_offset_s=5.0, wave_nt=(100.0, -80.0, 80.0), wave_period_s=2400.0)
+        samples = simulate(orbit, sensor, start, 11500.0, 10.0, disturbances=waved, seed=3).samples
+        got = calibrate(samples, [orbit], time_offset="estimate")
+        clock = got.extras["time_offset"]
+        assert min(abs(period_s - 2400.0) for period_s in clock["wave_periods_s"]) < 240.0
+        assert clock["offset_s"] == pytest.approx(5.0, abs=4 * clock["standard_error_s"])
 
     def test_planted_drift_is_found(self, orbit):
         """40 s a day over 3.2 h; within four standard errors."""
@@ -376,12 +421,15 @@ class TestTimeOffset:
         assert got.parameters.time_offset_s == pytest.approx(2.0, abs=4 * got.standard_errors.time_offset_s)
 
     @pytest.mark.parametrize("method", ["scalar", "vector"])
-    def test_half_a_second_is_told_from_nothing(self, orbit, method):
-        """Eight passes each: a false offset in 4 %, a missed one of 0.5 s in 5 % of scalar passes: at most one each."""
-        found = {}
-        for offset_s in (0.0, 0.5):
+    def test_some_seconds_are_told_from_nothing(self, orbit, method):
+        """Eight passes each: a false offset in 3 %, at most one; 6 s of |B| and 2 s of components are missed by none.
+
+        The errors have what 40 nT of external field do to the offset in them: 1.3 s of |B| over two orbits.
+        """
+        found, planted_s = {}, 6.0 if method == "scalar" else 2.0
+        for offset_s in (0.0, planted_s):
             passes = [self.flown(orbit, offset_s, days=0.3 * seed, seed=seed) for seed in range(8)]
             results = [calibrate(one, [orbit], method=method, time_offset="estimate") for one in passes]
             found[offset_s] = sum(one.extras["time_offset"]["is_significant"] for one in results)
         assert found[0.0] <= 1
-        assert found[0.5] >= 7
+        assert found[planted_s] == 8

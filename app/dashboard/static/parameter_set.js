@@ -69,7 +69,7 @@ function reasonsOf(record, reasons) {
   const place = h("div", {}, h("ul", {}, reasons.map((reason) => h("li", {}, reason))));
   api(`/parameter-sets/${record.id}/reasons`).then(({ items }) => place.replaceChildren(...items.map((one) => h("div", { class: "reason" },
     h("strong", {}, one.sentence), ` ${one.figure} `, one.grade && one.grade !== "accept" ? h("span", { class: `badge ${one.grade}` }, one.grade === "refuse" ? "limit of refuse" : "limit of weak") : null, " ",
-    h("a", { href: one.page }, h("code", {}, one.code)), cure(one.cure), h("small", {}, `What to do: ${one.advice}.`)))), () => {});
+    h("a", { href: one.page }, h("code", {}, one.code)), cure(one.cure), one.grade === "accept" ? null : h("small", {}, `What to do: ${one.advice}.`)))), () => {});
   return place;
 }
 

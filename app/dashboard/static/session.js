@@ -16,7 +16,7 @@ function calibrate(session) {
       option("scalar-hooke-jeeves", "scalar-hooke-jeeves"), option("vector-closed-form", "vector-closed-form")]),
     field("orbit", "Orbit", {}, [option("sgp4"), option("numerical")]),
     field("time_offset", "Clock offset", {}, [option("auto", "auto (old orbits)"), option("none"), option("estimate")]),
-    field("robust", "Outliers", {}, [option("none", "none (least squares)"), option("huber"), option("soft_l1"), option("cauchy"), option("tukey")]),
+    field("robust", "Outliers", {}, [option("auto", "auto (Tukey where rows are bad)"), option("none", "none (least squares)"), option("huber"), option("soft_l1"), option("cauchy"), option("tukey")]),
     field("regressors", `Regressors${keeping.length ? ` (${keeping.join(", ")})` : ""}`, { placeholder: "none; names, or auto" }),
     field("max_orbit_age_days", "Oldest orbit, days", { type: "number", min: 0, step: "any", placeholder: "14" }),
   ], "Calibrate", async (values) => {

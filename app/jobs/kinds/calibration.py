@@ -35,6 +35,8 @@ from magcal_core.telemetry.time_guesses import on_distance, spans_of
 POSITIONED: Final = frozenset({"ref_b", "ref_bx", "ref_eci_x", "x_km"})
 """Columns that make an orbit unnecessary."""
 DEFAULT_AGE_DAYS: Final = 14.0
+CANDIDATES: Final = "candidate_orbits"
+"""Where a request names orbits that a diagnosis tries; without it, all near ones of the satellite are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +56,7 @@ class CalibrationWork:
     strangers: Mapping[str, str] = field(default_factory=dict)
     intervals: Sequence[bytes] = ()
     field_file: tuple[str | None, bytes] | None = None
+    candidates: Sequence[str] = ()
 
 
 class CalibrationKind:
@@ -82,6 +85,10 @@ class CalibrationKind:
         lock = f"{satellite_id}/{magnetometer_id}"
         if body.field_file is not None:
             options[FIELD_FILE] = body.field_file
+        if body.candidate_orbits is not None:
+            # Each must be there, and in the caller's reach.
+            orbits = OrbitRepository(session, caller, satellite_id)
+            options[CANDIDATES] = [orbits.get(one).id for one in dict.fromkeys(body.candidate_orbits)]
         return Admission(options, satellite_id, magnetometer_id, session_ids, lock)
 
     def check(self, session: Session, admission: Admission) -> None:
@@ -116,11 +123,13 @@ class CalibrationKind:
         others = {row.id: other for row in near if (other := difference(satellite, row.details)) is not None}
         options = dict(claim.request)
         file_id = options.pop(FIELD_FILE, None)
+        options.pop(CANDIDATES, None)
         files = IndexRepository(session, SYSTEM)
         return CalibrationWork(
             columns=columns,
             orbits=[(row.id, row.content) for row in near],
             options=options,
+            candidates=[orbits.get(one).content for one in _candidates(claim.request)],
             inputs=[_input(row.id, sessions.chunks(row.id)) for row in rows],
             active=_in_force(session, claim, begin),
             strangers=others,
@@ -164,6 +173,11 @@ def _in_force(session: Session, claim: Claim, begin: datetime) -> dict[str, obje
     """
     found = ParameterSetRepository(session, SYSTEM).in_force(str(claim.satellite_id), str(claim.magnetometer_id))
     return None if found is None or found.data_from >= begin else {**found.record, "id": found.id}
+
+
+def _candidates(request: Mapping[str, object]) -> list[str]:
+    named = request.get(CANDIDATES)
+    return [str(one) for one in named] if isinstance(named, list) else []
 
 
 def _limit_days(options: Mapping[str, object]) -> float:

@@ -34,6 +34,7 @@ def calibrate(work: object, report: Report) -> Outcome:
     options = CalibrationOptions.from_dict(work.options)
     together = samples_of([chunk for chunks in work.columns for chunk in chunks])
     active = None if work.active is None else ActiveSet.from_record(work.active)
+    candidates = [orbit_of(content) for content in work.candidates]
     sources = sources_of(work.intervals, work.field_file)
     found = run(
         together,
@@ -42,6 +43,7 @@ def calibrate(work: object, report: Report) -> Outcome:
         index=sources.indices,
         field_file=sources.file,
         active=active,
+        candidates=candidates,
         with_moments=True,
         progress=report,
     )

@@ -12,7 +12,7 @@ from magcal_core.calibration.residuals import ResidualTable
 from magcal_core.observations import Observations
 from magcal_core.samples import SampleFlag, Samples
 from magcal_core.sensor.correction import FittedReadings
-from magcal_core.sensor.regressors import TIME_REGRESSOR, regressor_of, source_of, with_steps
+from magcal_core.sensor.regressors import TIME_REGRESSOR, regressor_of, with_steps
 
 
 def residual_table(samples: Samples, usable: Mask, observations: Observations, fit: Fit) -> ResidualTable:
@@ -62,7 +62,4 @@ def _columns(samples: Samples, usable: Mask, fit: Fit) -> dict[str, Floats]:
     t_s = (samples.t_utc - samples.t_utc[usable][0]) / np.timedelta64(1, "ns") * 1e-9
     columns = {TIME_REGRESSOR: t_s / 3600.0, **samples.housekeeping}
     columns = with_steps(fit.parameters.regressors, columns, samples.t_utc)
-    return {
-        name: regressor_of(name, np.asarray(columns[source_of(name)], np.float64), samples.h_nt)
-        for name in fit.parameters.regressors
-    }
+    return {name: regressor_of(name, columns, samples.h_nt, t_s) for name in fit.parameters.regressors}

@@ -21,9 +21,18 @@ SHIFT: Final = 0.5
 
 
 def residual_warnings(
-    fit: Fit, settings: FitSettings, b_nt: Floats, standard_errors: Parameters, *, is_vector: bool
+    fit: Fit,
+    settings: FitSettings,
+    b_nt: Floats,
+    standard_errors: Parameters,
+    *,
+    is_vector: bool,
+    is_noise_chosen: bool = False,
 ) -> Iterator[str]:
-    """Yield the warnings of a fit to the field ``b_nt``, shape (n,), nT; ``standard_errors``: the honest ones."""
+    """Yield the warnings of a fit to the field ``b_nt``, shape (n,), nT.
+
+    ``standard_errors``: the honest ones; ``is_noise_chosen``: the noise model was not asked for.
+    """
     if fit.status != FitStatus.CONVERGED:
         yield "not_converged: the search ended before it converged"
     if settings.robust == "none":
@@ -32,6 +41,11 @@ def residual_warnings(
         count = int(np.count_nonzero(size > limit))
         if limit > 0 and count > OUTLIER_SHARE * len(size):
             yield f"outliers: {count} residuals are beyond {limit:.0f} nT, six robust sigma; consider a robust loss"
+    if not is_vector and settings.noise_model == "white" and is_noise_chosen:
+        yield (
+            "noise_in_scale: noise of the reading made the scale factors too large by more than half their standard "
+            "errors; noise_model white has taken it out"
+        )
     if not is_vector and settings.noise_model == "none":
         scale, errors = np.abs(fit.parameters.scale), standard_errors.scale
         shift = 2.0 * robust_sigma(fit.residuals_nt) ** 2 / float(np.mean(b_nt**2))

@@ -56,12 +56,14 @@ class ClosedFormFit:
         b_nt = observations.require_vector()
         require_excitation(b_nt, observations.weights)
         none = Standardised((), np.zeros((len(observations), 0)), np.zeros(0), np.zeros(0))
-        forward = fit_rows(observations.h_nt, b_nt, none.columns, observations.weights)
+        begin = None if settings.begin is None else settings.begin.weights * observations.weights
+        first = observations.weights if begin is None else begin
+        forward = fit_rows(observations.h_nt, b_nt, none.columns, first)
         full = full_rows(forward, observations, none)
-        for axis in range(3):
+        for axis in range(3 if settings.is_gated else 0):
             responses = forward.significance(axis), forward.own_significance(axis)
             require_response(axis, forward.matrix[axis], *responses, full)
-        rows = reweighted_inverse(observations.h_nt, b_nt, observations.weights, settings.robust)
+        rows = reweighted_inverse(observations.h_nt, b_nt, observations.weights, settings.robust, near=begin)
         if settings.robust != "none":
             # Whether the reference is turned is asked of the samples that the loss believes.
             full = full_rows(fit_rows(observations.h_nt, b_nt, none.columns, rows.weights), observations, none)
@@ -100,10 +102,22 @@ class ClosedFormFit:
         """
         b_nt = observations.require_vector()
         require_excitation(b_nt, observations.weights)
-        rows = reweighted_inverse(observations.h_nt, b_nt, observations.weights, near.robust)
+        rows = reweighted_inverse(
+            observations.h_nt, b_nt, observations.weights, near.robust, near=_same_rows(near, observations)
+        )
         if settings.noise_model == "white":
             rows = fit_inverse_rows(observations.h_nt, b_nt, rows.weights, np.full(3, near.noise_nt))
         return parameters_from_rows(rows.matrix, rows.bias_nt, np.zeros((0, 3)), _NONE)
+
+
+def _same_rows(near: Fit, observations: Observations) -> Floats | None:
+    """Return the weights that ``near`` gave the rows of ``observations`` that are still there.
+
+    None where nothing was put aside, or where the rows are others.
+    """
+    if len(near.weights) != len(observations) or near.weights.all():
+        return None
+    return np.where(observations.weights > 0, near.weights, 0.0)
 
 
 def _equations(rows: InverseRows) -> tuple[Floats, Floats, BlockScores]:

@@ -136,19 +136,24 @@ def _without_attenuation(h_nt: Floats, b_nt: Floats, weights: Floats, noise_nt: 
     return InverseRows(h_nt, b_nt, gains, below, intercepts, errors, sigma, weights)
 
 
-def reweighted_inverse(h_nt: Floats, b_nt: Floats, prior: Floats, robust: str) -> InverseRows:
+def reweighted_inverse(
+    h_nt: Floats, b_nt: Floats, prior: Floats, robust: str, near: Floats | None = None
+) -> InverseRows:
     """Return the regressions under a robust loss; the worst of a sample's three residuals decides its weight.
+
+    ``near``: weights, shape (n,), of the rows that the search begins at; the loss then goes on from there.
 
     Raises
     ------
     NotObservableError
         A reading is a combination of the field's components.
     """
-    regression = _regression(h_nt, b_nt, prior)
-    regression.solve(prior)
+    first = prior if near is None or robust == "none" else near
+    regression = _regression(h_nt, b_nt, first)
+    regression.solve(first)
     if robust == "none":
         return _rows(regression, h_nt, b_nt, prior)
-    for name in dict.fromkeys(("soft_l1", robust)):
+    for name in dict.fromkeys(("soft_l1", robust)) if near is None else (robust,):
         weights, rounds, is_converged = regression.reweigh(prior, name)
     rows = _rows(regression, h_nt, b_nt, weights)
     used, floor = prior > 0, 1e-12 * float(np.abs(b_nt).max())

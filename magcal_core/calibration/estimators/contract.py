@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from magcal_core.calibration.estimators.parts import FirstOrder, FullMatrix
 from magcal_core.numerics.blocks import BlockScores
 from magcal_core.observations import Observations
 from magcal_core.sensor.parameters import Parameters
+
+if TYPE_CHECKING:
+    from magcal_core.calibration.estimators.robust_start import RobustStart
 
 
 class FitStatus(enum.StrEnum):
@@ -28,6 +31,8 @@ class FitSettings:
     """How to fit: robust loss, noise model, noise of a component (nT, where known), start (for studies).
 
     ``near``: a fit under the same settings to nearly the same data, where the search begins and whose scale it takes.
+    ``begin``: where a loss begins that the plain fit is no start for. ``is_gated``: whether samples that do not
+    determine the parameters are refused; else that is for the caller to ask, once bad rows have lost their weight.
     """
 
     robust: str = "none"
@@ -35,6 +40,8 @@ class FitSettings:
     noise_nt: float | None = None
     start: Parameters | None = None
     near: Fit | None = None
+    begin: RobustStart | None = None
+    is_gated: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,18 +10,17 @@ from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.contract import Fit, FitSettings, FitStatus
+from magcal_core.calibration.estimators.robust_start import scale_of
 from magcal_core.calibration.estimators.scalar_descent import descend
+from magcal_core.calibration.estimators.scalar_gate import (
+    require_ellipsoid,
+    require_observable,
+    require_observable_fit,
+    require_samples,
+)
 from magcal_core.calibration.estimators.scalar_kernel import accumulate, accumulate_blocks, residuals
 from magcal_core.calibration.estimators.scalar_start import closed_form_starts
-from magcal_core.calibration.observability.information import (
-    ENOUGH,
-    PARAMETER_NAMES,
-    SHORT_NAMES,
-    UNOBSERVABLE_BELOW,
-    condition_number,
-    scalar_information,
-    taking_part,
-)
+from magcal_core.calibration.observability.information import ENOUGH, PARAMETER_NAMES
 from magcal_core.errors import NotObservableError
 from magcal_core.numerics.blocks import BlockScores, block_starts
 from magcal_core.numerics.levenberg_marquardt import Minimum
@@ -29,10 +28,8 @@ from magcal_core.numerics.linear_algebra import scaled_inverse
 from magcal_core.numerics.medians import median_size
 from magcal_core.numerics.robust import GAUSSIAN_MAD, LOSSES, TUNING, robust_sigma, weights_and_slopes
 from magcal_core.observations import Observations, residuals_nt
-from magcal_core.sensor.correction import correct
 from magcal_core.sensor.parameterisation import (
     Standardised,
-    lower_of_theta,
     parameters_from_rows,
     rows_from_theta,
     rows_jacobian,
@@ -41,8 +38,6 @@ from magcal_core.sensor.parameterisation import (
 )
 from magcal_core.sensor.parameters import Parameters
 
-MIN_SAMPLES: Final = 10
-"""Nine parameters and one residual: with fewer no error can be estimated."""
 _PLAIN: Final = -1.0
 _REACH: Final = 0.02
 """How far from the scale before, relative to it, the next one is looked for first."""
@@ -140,12 +135,22 @@ class ScalarFit:
         if settings.near is not None:
             return _assemble(self.name, task, _on_all(task, _beside(task, settings.near), settings))
         few = task.thinned()
-        plain = _plain(few, settings)
-        require_observable(few.observations, plain.minimum.theta, plain.minimum.normal)
-        solution = _refined(few, plain, settings, _STILL if few is task else _STILL_ON_ALL)
+        still = _STILL if few is task else _STILL_ON_ALL
+        begin = settings.begin if settings.robust != "none" else None
+        if begin is not None and begin.parameters is not None:
+            solution = _begun(few, begin.parameters, begin.scale_nt, settings, still)
+        else:
+            plain = _plain(few, settings)
+            require_ellipsoid(plain.minimum.theta)
+            if settings.is_gated:
+                require_observable(few.observations, plain.minimum.theta, plain.minimum.normal)
+            solution = _refined(few, plain, settings, still)
         if few is not task:
             solution = _on_all(task, solution, settings)
-        return _assemble(self.name, task, solution)
+        fit = _assemble(self.name, task, solution)
+        if begin is not None and settings.is_gated:
+            require_observable_fit(observations, fit)
+        return fit
 
     def refit(self, observations: Observations, settings: FitSettings, near: Fit) -> Parameters:
         """Return the estimate near a known one, under its loss and noise.
@@ -167,50 +172,16 @@ class ScalarFit:
         return parameters_from_rows(matrix, bias_nt, slopes_nt, task.z)
 
 
-def require_samples(observations: Observations) -> None:
-    """Refuse fewer samples than the nine parameters and one residual need.
-
-    Raises
-    ------
-    NotObservableError
-    """
-    count = int(np.count_nonzero(observations.weights > 0))
-    wanted = MIN_SAMPLES + 3 * len(observations.regressors) + observations.rate_nt_s.shape[1]
-    if count < wanted:
-        raise NotObservableError(
-            f"{count} usable samples, the fit needs at least {wanted}: none of {', '.join(SHORT_NAMES)} can be told; "
-            "condition number infinite",
-            PARAMETER_NAMES,
-        )
-
-
-def require_observable(observations: Observations, theta: Floats, normal: Floats) -> None:
-    """Refuse samples that do not excite all nine parameters above the noise.
-
-    Raises
-    ------
-    NotObservableError
-        `ScalarInformation` is below `UNOBSERVABLE_BELOW`, by either index.
-    """
-    lower = lower_of_theta(theta)
-    matrix, bias_nt, _ = rows_from_theta(theta, 0)
-    if not np.isfinite(matrix).all():
-        raise NotObservableError("no ellipsoid fits the readings: none of the parameters can be told", PARAMETER_NAMES)
-    x_nt, used = correct(observations.h_nt, bias_nt, lower), observations.weights > 0
-    geometric_nt, none = np.empty(len(used)), np.zeros((len(used), 0))
-    residuals(observations.h_nt, observations.b_nt, none, none, theta[:9], 0.0, geometric_nt)
-    dof = max(int(np.count_nonzero(used)) - 9, 1)
-    noise_nt = robust_sigma(geometric_nt[used]) * np.sqrt((dof + 9) / dof)
-    information = scalar_information(x_nt[used], matrix, noise_nt)
-    if information.is_observable:
-        return
-    named = taking_part(information.weak[information.ratios < UNOBSERVABLE_BELOW]) or tuple(range(9))
-    letters = ", ".join(SHORT_NAMES[i] for i in named)
-    raise NotObservableError(
-        f"the samples do not determine {letters}: observability index {information.index:.2g}, needed "
-        f"{UNOBSERVABLE_BELOW:g}; condition number {condition_number(normal[:9, :9]):.3g}",
-        [PARAMETER_NAMES[i] for i in named],
-    )
+def _begun(task: _Task, at: Parameters, scale_nt: float, settings: FitSettings, still: float) -> _Solution:
+    """Return the minimum under the loss from a start that bad rows have no part in: two reweighted steps go first."""
+    loss = LOSSES[settings.robust]
+    bare = replace(at, regressors={name: np.zeros(3) for name in task.z.names}, time_offset_s=None)
+    theta, none = theta_of_parameters(bare, task.z), np.zeros((0, 0))
+    theta = np.concatenate([theta, np.zeros(task.size - theta.size)])
+    minimum = Minimum(theta, np.inf, none, none, 0, False)
+    solution = _Solution(minimum, 0, loss, TUNING[loss] * scale_nt, _PLAIN)
+    solution = _iterated(task, _approached(task, solution, settings), settings, still)
+    return replace(solution, minimum=_right_handed(task, solution.minimum))
 
 
 def _plain(task: _Task, settings: FitSettings) -> _Solution:
@@ -248,13 +219,13 @@ def _refined(task: _Task, plain: _Solution, settings: FitSettings, still: float)
     solution = plain
     if is_robust:
         # The convex loss first: from there the redescending ones cannot fall into a neighbour's minimum.
-        solution = _approached(task, replace(plain, loss=LOSSES["soft_l1"]), settings, is_white)
+        solution = _approached(task, replace(plain, loss=LOSSES["soft_l1"]), settings)
         if settings.robust != "soft_l1":
-            solution = _iterated(task, solution, is_white, settings.noise_nt, _STILL_ON_ALL)
+            solution = _iterated(task, solution, settings, _STILL_ON_ALL)
             solution = replace(solution, loss=LOSSES[settings.robust])
-        solution = _iterated(task, solution, is_white, settings.noise_nt, still)
+        solution = _iterated(task, solution, settings, still)
     elif is_white:
-        solution = _iterated(task, solution, True, settings.noise_nt, still)
+        solution = _iterated(task, solution, settings, still)
     return replace(solution, minimum=_right_handed(task, solution.minimum))
 
 
@@ -270,21 +241,25 @@ def _on_all(task: _Task, near: _Solution, settings: FitSettings) -> _Solution:
     """Return the minimum over all samples, next to that over some of them or over nearly the same ones."""
     is_white, is_large = settings.noise_model == "white", len(task.observations) >= 2 * ENOUGH
     if near.loss or is_white:
-        solution = _iterated(task, near, is_white, settings.noise_nt, _STILL_ON_ALL if is_large else _STILL)
+        solution = _iterated(task, near, settings, _STILL_ON_ALL if is_large else _STILL)
     else:
         solution = near.after(task.minimise(near.minimum.theta), near.bend, near.sigma)
     return replace(solution, minimum=_right_handed(task, solution.minimum))
 
 
-def _approached(task: _Task, solution: _Solution, settings: FitSettings, is_white: bool) -> _Solution:
+def _approached(task: _Task, solution: _Solution, settings: FitSettings) -> _Solution:
     """Return the solution some steps nearer to the minimum under its loss, from where Newton's steps lead on."""
-    scale, sigma = _scale(task, solution, is_white, settings.noise_nt)
+    scale, sigma = _scale(task, solution, settings)
     bend = TUNING[solution.loss] * scale
     return solution.after(task.approach(solution.minimum.theta, solution.loss, bend, sigma), bend, sigma)
 
 
-def _scale(task: _Task, solution: _Solution, is_white: bool, noise_nt: float | None) -> tuple[float, float]:
-    """Return the robust scale of the residuals and the noise of a component, nT, that they show."""
+def _scale(task: _Task, solution: _Solution, settings: FitSettings) -> tuple[float, float]:
+    """Return the robust scale of the residuals and the noise of a component, nT, that they show.
+
+    Where a start was given because rows are bad, these have no part in the scale either.
+    """
+    is_white, noise_nt = settings.noise_model == "white", settings.noise_nt
     floor = 1e-9 * task.floor / np.sqrt(len(task.observations))
     theta, sigma = solution.minimum.theta, _PLAIN
     if is_white:
@@ -292,16 +267,18 @@ def _scale(task: _Task, solution: _Solution, is_white: bool, noise_nt: float | N
     if not solution.loss:
         return max(sigma, floor), sigma
     r = task.residuals(theta, sigma)
+    if settings.begin is not None:
+        return max(scale_of(r[task.observations.weights > 0]), floor), sigma
     before = solution.bend / (TUNING[solution.loss] * GAUSSIAN_MAD)
     median = median_size(r, task.observations.weights, before, _REACH, np.empty_like(r))
     return max(GAUSSIAN_MAD * float(median), floor), sigma
 
 
-def _iterated(task: _Task, solution: _Solution, is_white: bool, noise_nt: float | None, still: float) -> _Solution:
+def _iterated(task: _Task, solution: _Solution, settings: FitSettings, still: float) -> _Solution:
     """Return the minimum under the solution's loss, with scale and noise estimated anew until they stand still."""
-    previous = np.inf
+    previous, is_white = np.inf, settings.noise_model == "white"
     for _ in range(_ROUNDS):
-        scale, sigma = _scale(task, solution, is_white, noise_nt)
+        scale, sigma = _scale(task, solution, settings)
         if abs(scale - previous) <= still * scale:
             break
         previous = scale

@@ -60,7 +60,7 @@ def _ten_unknowns(gram: Floats) -> Floats | None:
     left, right = gram[:10, :10], gram[:10, 10]
     size = np.sqrt(np.maximum(np.diag(left), 1e-300))
     solution = np.linalg.lstsq(left / np.outer(size, size), right / size, rcond=1e-14)[0] / size
-    return _start_of_quadric(solution, None)
+    return start_of_quadric(solution, None)
 
 
 def _homogeneous(gram: Floats) -> Floats | None:
@@ -69,10 +69,10 @@ def _homogeneous(gram: Floats) -> Floats | None:
     vector = np.linalg.eigh(left / np.outer(size, size))[1][:, 0] / size
     # Weighted with 1/(4 B^2): the ratio of two elements of the moments is the mean of B^2.
     mean_square = gram[9, 10] / gram[9, 9]
-    return _start_of_quadric(vector * np.sign(vector[:3].sum() or 1.0), mean_square)
+    return start_of_quadric(vector * np.sign(vector[:3].sum() or 1.0), mean_square)
 
 
-def _start_of_quadric(solution: Floats, mean_square: float | None) -> Floats | None:
+def start_of_quadric(solution: Floats, mean_square: float | None) -> Floats | None:
     """Return the start that a quadric's ten coefficients stand for, None where they are no ellipsoid."""
     a11, a22, a33, a12, a13, a23 = solution[:6]
     a = np.array([[a11, a12, a13], [a12, a22, a23], [a13, a23, a33]])

@@ -46,7 +46,7 @@ class VectorFit:
         z = Standardised.of(names, [observations.regressors[name] for name in names], len(observations))
         rows, clock = _with_clock(observations, z, settings)
         full = full_rows(rows, observations, z)
-        for axis in range(3):
+        for axis in range(3 if settings.is_gated else 0):
             require_response(axis, rows.matrix[axis], rows.significance(axis), rows.own_significance(axis), full)
         parameters = parameters_from_rows(rows.matrix, rows.bias_nt, rows.slopes_nt, z)
         if clock.size:
@@ -88,7 +88,10 @@ def _with_clock(observations: Observations, z: Standardised, settings: FitSettin
     """Return the rows, and the clock's unknowns that make them fit best (none where no rates are given)."""
     b_nt, rates = observations.require_vector(), observations.rate_base_nt_s
     weights, robust, near = observations.weights, settings.robust, settings.near
-    first = near.weights if near is not None and len(near.weights) == len(weights) else None
+    begin = settings.begin.weights * weights if settings.begin is not None else None
+    first = near.weights if near is not None else begin
+    if first is not None and len(first) != len(weights):
+        first = None
     if rates is None or rates.shape[1] == 0:
         return reweighted(observations.h_nt, b_nt, z.columns, weights, robust, near=first), np.zeros(0)
     clock = np.zeros(rates.shape[1])

@@ -168,6 +168,14 @@ def _found(regression: Regression, k: int, wide: tuple[int, int, int]) -> tuple[
     return matrix, found[:, -1] - found[:, :-1] @ regression.centre, np.ascontiguousarray(found[:, 3 : 3 + k].T)
 
 
+def whole_residuals_nt(observations: Observations) -> Floats:
+    """Return h less the plain fit of all nine elements of T, the bias and the regressors, shape (n, 3), nT."""
+    names = tuple(observations.regressors)
+    z = Standardised.of(names, [observations.regressors[name] for name in names], len(observations))
+    b_nt = observations.require_vector()
+    return fit_rows(observations.h_nt, b_nt, z.columns, observations.weights, (3, 3, 3)).residuals_nt
+
+
 def _softening(rows: Rows, prior: Floats, robust: str, floor: float) -> tuple[float, float]:
     """Return what the loss multiplies the formal covariance by, and divides the normal matrix by."""
     used = prior > 0

@@ -69,7 +69,8 @@ def advice(index: float, motion: SphereMotion, magnitudes_nt: Floats, duration_s
     variation = float(magnitudes_nt.std() / magnitudes_nt.mean())
     if index < WEAK_BELOW and variation < 0.1:
         found.append(f"take in high and low latitudes: |B| varied by {variation:.0%} only")
-    if index < WEAK_BELOW and not found:  # where the directions are what is missing, less noise is no cure
+    if index < WEAK_BELOW and not found:
+        # Only where the motion lacks nothing is it the noise that is in the way.
         readings = max(2, round((WEAK_BELOW / max(index, 0.1)) ** 2))
         found.append(f"average {readings} readings into one: the noise is what is in the way")
     if duration_s < SHORT_S:

@@ -14,7 +14,7 @@ import json
 import zipfile
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -118,6 +118,10 @@ class FitMoments:
         First and last sample of each block, UTC.
     samples, duration_s
         Count, and time that they cover, s.
+    trusted : shape (2, p)
+        Parameters of the calibration, with the regressors that are fitted and the clock last, and their standard
+        errors: beside errors that are locked to the orbit, of which the moments know nothing. Of no columns where the
+        moments say all.
     """
 
     is_vector: bool
@@ -139,6 +143,7 @@ class FitMoments:
     ends: Times
     samples: int
     duration_s: float
+    trusted: Floats = field(default_factory=lambda: np.zeros((2, 0)))
 
     @property
     def firsts(self) -> NDArray[np.intp]:
@@ -212,6 +217,7 @@ class FitMoments:
             weights=self.weights,
             begins=self.begins.astype("datetime64[ns]").astype(np.int64),
             ends=self.ends.astype("datetime64[ns]").astype(np.int64),
+            trusted=self.trusted,
         )
         return written.getvalue()
 
@@ -267,6 +273,7 @@ class FitMoments:
             ends=part["ends"].astype("datetime64[ns]"),
             samples=int(str(head["samples"])),
             duration_s=float(str(head["duration_s"])),
+            trusted=part.get("trusted", np.zeros((2, 0))),
         )
 
 
@@ -313,7 +320,8 @@ def moments_of_fit(
         samples=int(np.count_nonzero(o.weights > 0)),
         duration_s=covered_s(o.t_s),
     )
-    take = made.unknowns(made.fitted, has_clock=is_clock_fitted)
+    # A clock that was found beside locked errors is no unknown of the fit at it.
+    take = made.unknowns(made.fitted, has_clock=is_clock_fitted and bool(fit.clock.size))
     jacobian = made.to_parameters(own)[np.ix_(take, take)]
     inverse = scaled_inverse(made.softened * sums.normals.sum(axis=0)[np.ix_(take, take)])
     variances = np.einsum("ij,jk,ik->i", jacobian[:9], inverse, jacobian[:9])

@@ -145,7 +145,49 @@ def refit(moments: FitMoments, options: RefitOptions) -> Refit:
         names = tuple(dict.fromkeys(chosen))
         ablation = tuple(problem.tried(one) for one in dict.fromkeys([(), names]))
     ablation = tuple(replace(row, is_selected=row.regressors == names) for row in ablation)
-    return _refit(problem, names, ablation, left_out, options)
+    found = _refit(problem, names, ablation, left_out, options)
+    return found if not moments.trusted.size else _trusted(moments, found)
+
+
+def _trusted(moments: FitMoments, found: Refit) -> Refit:
+    """Return the refit about the calibration, whose locked errors the moments do not know.
+
+    Notes
+    -----
+    What a refit of nothing else lacks of the calibration is added to every parameter, and what its errors are too small
+    by multiplies every error: a refit of nothing else is the calibration.
+    """
+    has_clock = moments.is_clock_fitted
+    problem = _Problem(moments, moments.sums, has_clock)
+    ablation = (replace(problem.tried(moments.fitted), is_selected=True),)
+    base = _refit(problem, moments.fitted, ablation, 0.0, RefitOptions())
+    values, errors = moments.trusted
+    names = base.parameters.names[: len(values)]
+    known, small = base.parameters.vector[: len(values)], base.standard_errors.vector
+    shift = dict(zip(names, values - known, strict=True))
+    wider = dict(zip(names, errors[: len(small)] / np.maximum(small, 1e-300), strict=False))
+    clock_error = None if found.time_offset is None else found.time_offset.error_s
+    if base.time_offset is not None:
+        wider["time_offset_s"] = float(errors[-1]) / max(base.time_offset.error_s, 1e-300)
+    moved = np.array([shift.get(name, 0.0) for name in found.parameters.names])
+    parameters = found.parameters.with_vector(found.parameters.vector + moved)
+    factor = np.array([wider.get(name, 1.0) for name in found.standard_errors.names])
+    standard_errors = found.standard_errors.with_vector(found.standard_errors.vector * factor)
+    before = dict(zip(names, values.tolist(), strict=True))
+    changes = tuple(
+        replace(
+            one,
+            before=before.get(one.parameter, one.before),
+            after=one.after + shift.get(one.parameter, 0.0) if one.parameter in parameters.names else one.after,
+            standard_error=one.standard_error * wider.get(one.parameter, 1.0),
+        )
+        for one in found.changes
+    )
+    clock = found.time_offset
+    if clock is not None and clock_error is not None:
+        moved_s = clock.offset_s + shift.get("time_offset_s", 0.0)
+        clock = ClockTest(moved_s, clock_error * wider.get("time_offset_s", 1.0))
+    return replace(found, parameters=parameters, standard_errors=standard_errors, changes=changes, time_offset=clock)
 
 
 def _shares(moments: FitMoments, without: Sequence[Span]) -> Floats:

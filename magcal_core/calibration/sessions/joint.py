@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.contract import Fit, FitSettings
+from magcal_core.calibration.estimators.loss import AUTO, AUTO_LOSS, fit_under_loss
 from magcal_core.calibration.estimators.normal_equations import block_equations, equations_at
 from magcal_core.calibration.estimators.scalar import ScalarFit
 from magcal_core.calibration.estimators.vector import VectorFit
@@ -132,6 +133,9 @@ def joint_fit(
     if len(named) != len(sessions) or len(set(named)) != len(named):
         raise OptionError("labels: want another name for every session")
     alone = [_alone(session, is_vector=is_vector, robust=robust) for session in sessions]
+    if robust == AUTO:
+        # One loss for all sessions: that of the worst of them.
+        robust = "none" if all(fit is None or fit.robust == "none" for fit in alone) else AUTO_LOSS
     problem = _Problem.of(sessions, named, shared, is_vector=is_vector, robust=robust, alone=alone)
     return _assemble(problem, problem.solve(), alone)
 
@@ -139,6 +143,8 @@ def joint_fit(
 def _alone(session: Observations, *, is_vector: bool, robust: str) -> Fit | None:
     estimator = VectorFit() if is_vector else ScalarFit()
     try:
+        if robust == AUTO:
+            return fit_under_loss(estimator, session, FitSettings(robust=robust)).fit
         return estimator.fit(session, FitSettings(robust=robust))
     except EstimationError:
         return None

@@ -122,9 +122,17 @@ class ClockFit:
 
 
 def fit_with_clock(
-    estimator: Estimator, at: At, unmoved: Observations, settings: FitSettings, *, has_drift: bool
+    estimator: Estimator,
+    at: At,
+    unmoved: Observations,
+    settings: FitSettings,
+    *,
+    has_drift: bool,
+    start_s: float = 0.0,
 ) -> ClockFit:
     """Return the fit with the clock's offset (and drift) among its unknowns; ``unmoved``: what ``at`` gives for zero.
+
+    ``start_s``: offset, s, where the search begins.
 
     Notes
     -----
@@ -134,7 +142,9 @@ def fit_with_clock(
     """
     shapes = _shapes(unmoved.t_s, has_drift)
     search = _Search(estimator, at, settings, shapes, slice(None))
-    found = search.begin(unmoved, np.zeros(len(shapes)))
+    begin = np.zeros(len(shapes))
+    begin[0] = start_s
+    found = search.begin(unmoved, begin)
     periods_s = slow_waves(found.observations, found.fit) if found.is_converged else ()
     if periods_s:
         # Samples that determine a sensor may not determine one whose bias waves.

@@ -3,8 +3,8 @@
 Notes
 -----
 A regressor that halves the residual may double the error on unseen data: only what lowers the held-out residual enters.
-Candidates are ranked by one Gauss-Newton step from the present fit, whose normal matrices per block hold every
-candidate at once; the step taken is then refitted block by block, and only that figure decides.
+Blocks of one session share its drift, though: a column that has nothing to do with the sensor predicts a slow bias too.
+So candidates are ranked by their evidence beside every smooth bias (`terms.regressor_evidence`).
 """
 
 from __future__ import annotations
@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.contract import Estimator, Fit, FitSettings
-from magcal_core.calibration.estimators.normal_equations import Equations, own_equations
+from magcal_core.calibration.estimators.normal_equations import Equations
+from magcal_core.calibration.terms.regressor_evidence import ENOUGH as ENOUGH_EVIDENCE
+from magcal_core.calibration.terms.regressor_evidence import ColumnEvidence, SmoothBias
 from magcal_core.calibration.uncertainty.cross_validation import folds_of, held_out_residuals_nt, rms_nt
 from magcal_core.observations import Observations
-from magcal_core.sensor.parameters import Parameters
 
 MAX_TERMS: Final = 8
 GAIN: Final = 0.02
@@ -29,22 +30,24 @@ GAIN: Final = 0.02
 ENOUGH: Final = 0.95
 """Share of the usable samples that a column must have a value for."""
 _TRIED: Final = 3
-"""Candidates that are refitted before the selection ends: the best one, and others that promise half of `GAIN`."""
+"""Candidates that are held against their surrogates and refitted before the selection ends."""
 _SAME: Final = 0.999
 """Correlation of two columns above which they say the same."""
-_MOST: Final = 20_000
-"""Samples that candidates are ranked on; the refits use all."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ablation:
-    """One model that was tried: its terms, its residual in the fit and on unseen blocks, nT, its cost, nT^2."""
+    """One model that was tried: its terms, its residual in the fit and on unseen blocks, nT, its cost, nT^2.
+
+    ``evidence``: of its last term beside every smooth bias, where that was weighed.
+    """
 
     regressors: tuple[str, ...]
     rms_nt: float
     cross_validated_rms_nt: float | None
     cost: float
     is_selected: bool = False
+    evidence: ColumnEvidence | None = None
 
     def to_dict(self) -> dict[str, object]:
         """Return the row as the records have it."""
@@ -56,6 +59,8 @@ class Ablation:
             "cross_validated_rms_nt": self.cross_validated_rms_nt,
             "cost": self.cost,
             "selected": self.is_selected,
+            "log_evidence": None if self.evidence is None else self.evidence.log_evidence,
+            "surrogate_max": None if self.evidence is None else self.evidence.surrogate_max,
         }
 
 
@@ -86,27 +91,50 @@ def ablation_of(
     return (*rows[:-1], replace(rows[-1], is_selected=True))
 
 
-def choose_regressors(estimator: Estimator, observations: Observations, settings: FitSettings) -> Choice:
-    """Return the terms, among the regressors of ``observations``, that unseen blocks of time bear out.
+def choose_regressors(
+    estimator: Estimator, observations: Observations, settings: FitSettings, smooth: SmoothBias
+) -> Choice:
+    """Return the terms, among the regressors of ``observations``, that bear evidence beside every smooth bias.
 
-    Starts from none and adds the best one while that lowers the held-out residual by `GAIN` and in most of the blocks.
-    Without any such term, or where the blocks alone do not determine the parameters, the choice is none.
+    ``smooth``: what a column must bear evidence beside. Starts from none and adds the one with the most evidence while
+    that is enough, more than any of its surrogates', and unseen blocks bear it out: the held-out residual falls by
+    `GAIN`, and in most of the blocks. Without any such term, or where the blocks alone do not determine the parameters,
+    the choice is none.
     """
     row, fit, held_out = _trial(estimator, observations, settings, ())
-    rows, names = [row], list(observations.regressors)
+    rows = [row]
     while held_out is not None and len(row.regressors) < MAX_TERMS:
-        ranked = _ranked(estimator, observations, fit, row.regressors, names)
-        for name in ranked:
+        present = observations.with_regressors(row.regressors)
+        for name, evidence in _ranked(smooth, observations, present, fit):
             more = (*row.regressors, name)
             tried, tried_fit, tried_held_out = _trial(estimator, observations, replace(settings, near=fit), more)
-            rows.append(tried)
-            if tried_held_out is not None and _is_better(observations, fit, held_out, tried_held_out):
-                row, fit, held_out = tried, tried_fit, tried_held_out
+            rows.append(replace(tried, evidence=evidence))
+            is_better = tried_held_out is not None and _is_better(observations, fit, held_out, tried_held_out)
+            if evidence.is_enough and is_better:
+                row, fit, held_out = rows[-1], tried_fit, tried_held_out
                 break
         else:
             break
     rows[rows.index(row)] = replace(row, is_selected=True)
     return Choice(row.regressors, tuple(rows))
+
+
+def _ranked(
+    smooth: SmoothBias, observations: Observations, present: Observations, fit: Fit
+) -> list[tuple[str, ColumnEvidence]]:
+    """Return the candidates with the most evidence, the best first: all with enough, or else the best alone."""
+    chosen = tuple(present.regressors)
+    candidates = {
+        name: [column]
+        for name, column in observations.regressors.items()
+        if name not in chosen and not _repeats(observations, name, chosen)
+    }
+    found = smooth.weigh(present, fit, candidates)
+    ranked = sorted(found, key=lambda name: -found[name])
+    enough = [name for name in ranked if found[name] >= ENOUGH_EVIDENCE][:_TRIED]
+    if not enough:
+        return [(name, ColumnEvidence(found[name])) for name in ranked[:1]]
+    return [(name, smooth.against_surrogates(present, fit, candidates[name], found[name])) for name in enough]
 
 
 def _trial(
@@ -139,45 +167,11 @@ def is_borne_out(before: Floats, after: Floats) -> bool:
     )
 
 
-def _ranked(
-    estimator: Estimator, observations: Observations, fit: Fit, chosen: tuple[str, ...], names: Sequence[str]
-) -> list[str]:
-    """Return the candidates to refit, the most promising first."""
-    step = max(1, len(observations) // _MOST)
-    thinned = observations.take(slice(None, None, step))
-    candidates = [name for name in names if name not in chosen and not _repeats(thinned, name, chosen)]
-    if not candidates:
-        return []
-    order = (*chosen, *candidates)
-    zero = {name: fit.parameters.regressors.get(name, np.zeros(3)) for name in order}
-    at = Parameters(fit.parameters.bias_nt, fit.parameters.scale, fit.parameters.nonorthogonality_deg, None, zero)
-    weighed = replace(_standardised(thinned.with_regressors(order), chosen), weights=fit.weights[::step])
-    starts = np.array([fold.start for fold in folds_of(thinned.t_s)])
-    folds = own_equations(weighed, at, starts, is_vector=estimator.is_vector)
-    known = 9 + 3 * len(chosen)
-    scores = {}
-    for i, name in enumerate(candidates):
-        take = np.array([*range(known), *range(known + 3 * i, known + 3 * i + 3)])
-        scores[name] = float(held_out_cost(folds, take).sum())
-    enough = (1.0 - GAIN / 2.0) ** 2 * float(held_out_cost(folds, np.arange(known)).sum())
-    ranked = sorted(candidates, key=lambda name: scores[name])
-    return [ranked[0], *(name for name in ranked[1:_TRIED] if scores[name] < enough)]
-
-
 def _repeats(observations: Observations, name: str, chosen: Sequence[str]) -> bool:
     column = observations.regressors[name]
     if np.ptp(column) == 0:
         return True
     return any(abs(np.corrcoef(column, observations.regressors[other])[0, 1]) > _SAME for other in chosen)
-
-
-def _standardised(observations: Observations, chosen: Sequence[str]) -> Observations:
-    """Return the observations with the candidates centred and scaled; chosen terms keep the units of the fit."""
-    scaled = {
-        name: column if name in chosen else (column - column.mean()) / column.std()
-        for name, column in observations.regressors.items()
-    }
-    return replace(observations, regressors=scaled)
 
 
 def held_out_cost(folds: Sequence[Equations], take: NDArray[np.intp]) -> Floats:

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats, Times
 from magcal_core.attitude.rotation import rotate
-from magcal_core.calibration.estimators.normal_equations import equations_at, scalar_responses
-from magcal_core.calibration.estimators.scale_terms import without_scale_terms
+from magcal_core.calibration.estimators.contract import Fit
+from magcal_core.calibration.estimators.linear_rows import Rows, rows_of
 from magcal_core.field.external_knowledge import ConsideredError
 from magcal_core.numerics.linear_algebra import scaled_inverse
 from magcal_core.observations import Observations
@@ -49,30 +49,81 @@ class ReferenceShift:
         return {"source": self.source, "why": self.why, "standard_errors": sizes.to_dict()}
 
 
-def reference_shifts(
-    samples: Samples, observations: Observations, parameters: Parameters, source: ReferenceSource
-) -> tuple[ReferenceShift, ...]:
-    """Return what the considered errors of the reference do to the parameters.
+@dataclass(frozen=True, slots=True, eq=False)
+class ReferenceErrors:
+    """Errors of the reference at one standard deviation, at some samples that stand for all.
 
-    ``samples``: those that ``observations`` were made of, one for one. None where the reference came with the
-    telemetry.
+    Attributes
+    ----------
+    rows : shape (r,)
+        Which samples these are.
+    errors_nt : shape (m, r, 3)
+        Each error, ITRF, nT.
+    main_nt : shape (r, 3)
+        The field that it is an error of, ITRF, nT.
+    in_base_nt : shape (m, r, 3), optional
+        Each error in the base frame, nT, where attitude is known.
+    named : (source, why) of each.
+    """
+
+    rows: NDArray[np.intp]
+    errors_nt: Floats
+    main_nt: Floats
+    in_base_nt: Floats | None
+    named: tuple[tuple[str, str], ...]
+
+    def without(self, source: str) -> ReferenceErrors | None:
+        """Return the errors but that of ``source``; None where none is left."""
+        kept = [i for i, (name, _) in enumerate(self.named) if name != source]
+        if not kept:
+            return None
+        in_base = None if self.in_base_nt is None else self.in_base_nt[kept]
+        return replace(
+            self, errors_nt=self.errors_nt[kept], in_base_nt=in_base, named=tuple(self.named[i] for i in kept)
+        )
+
+    def moves(self, observations: Observations, fit: Fit, *, is_full: bool = False) -> tuple[Rows, Floats]:
+        """Return the rows of these samples and how far each error moves their unknowns, shape (m, q).
+
+        ``observations``, ``fit``: all samples, with the fall of the reference where the clock is an unknown.
+        """
+        few = observations.take(self.rows)
+        part = replace(fit, residuals_nt=fit.residuals_nt[self.rows], weights=fit.weights[self.rows])
+        linear = rows_of(few, part, is_full=is_full)
+        if fit.residuals_nt.ndim == 1:
+            along = np.einsum("mni,ni->mn", self.errors_nt, self.main_nt) / np.linalg.norm(self.main_nt, axis=1)
+            changes = along[None]
+        else:
+            in_base = self.errors_nt if self.in_base_nt is None else self.in_base_nt
+            changes = np.einsum("mnj,ij->imn", in_base, linear.matrix)
+        q = linear.unknowns.size
+        normal, right = np.zeros((q, q)), np.zeros((len(self.errors_nt), q))
+        for channel, change in zip(linear.channels, changes, strict=True):
+            normal[np.ix_(channel.places, channel.places)] += channel.jacobian.T @ channel.jacobian
+            right[:, channel.places] += (change * channel.by_field) @ channel.jacobian
+        return linear, right @ scaled_inverse(normal)
+
+
+def reference_errors(samples: Samples, weights: Floats, source: ReferenceSource) -> ReferenceErrors | None:
+    """Return an external field and, where no clock was estimated, an orbit that is late, as errors of the reference.
+
+    ``samples``: those of the fit, and their ``weights``, shape (n,). None where the reference came with the telemetry.
     """
     if samples.r_itrf_km is None or (source.is_vector and samples.q_base_gcrf is None):
-        return ()
-    placed = np.flatnonzero(np.isfinite(samples.r_itrf_km).all(axis=1) & (observations.weights > 0))
+        return None
+    placed = np.flatnonzero(np.isfinite(samples.r_itrf_km).all(axis=1) & (weights > 0))
     rows = placed[:: max(1, len(placed) // _PLACES)]
     if len(rows) < 2:
-        return ()
-    few, some = samples.take(rows), replace(observations.take(rows), rate_nt_s=np.zeros((0, 0)), rate_base_nt_s=None)
+        return None
+    few = samples.take(rows)
+    t_utc, r_km = few.t_utc, samples.r_itrf_km[rows]
     errors = considered_errors(samples, rows, source)
-    shifts = np.zeros((len(errors), len(parameters.names)))
     sizes = np.stack([one.error_nt for one in errors])
-    # What the reference's errors do to the scale's changes is not told: they follow a column, not the place.
-    some, parameters = without_scale_terms(some, parameters)
-    moves = _vector_moves if source.is_vector else _scalar_moves
-    found = moves(some, parameters, few, source.field.field_itrf_nt(few.t_utc, samples.r_itrf_km[rows]), sizes)
-    shifts[:, : found.shape[1]] = found
-    return tuple(ReferenceShift(one.source, one.why, shift) for one, shift in zip(errors, shifts, strict=True))
+    in_base, q = None, few.q_base_gcrf
+    if source.is_vector and q is not None:
+        in_base = np.stack([rotate(q, itrf_to_gcrf_fast(t_utc, error_nt)) for error_nt in sizes])
+    named = tuple((one.source, one.why) for one in errors)
+    return ReferenceErrors(rows, sizes, source.field.field_itrf_nt(t_utc, r_km), in_base, named)
 
 
 def considered_errors(samples: Samples, rows: NDArray[np.intp], source: ReferenceSource) -> tuple[ConsideredError, ...]:
@@ -93,6 +144,20 @@ def considered_errors(samples: Samples, rows: NDArray[np.intp], source: Referenc
     return (*errors, ConsideredError("orbit_along_track", f"{along_km:.2g} km ({how})", late_nt))
 
 
+def reference_shifts(
+    errors: ReferenceErrors | None, observations: Observations, fit: Fit
+) -> tuple[ReferenceShift, ...]:
+    """Return what each error does to the parameters of ``fit``, in the order of their names; none for no errors.
+
+    Where the clock is an unknown, its error is among them: the one that is still there after it was fitted.
+    """
+    if errors is None:
+        return ()
+    linear, moves = errors.moves(observations, fit)
+    shifts = moves @ linear.unknowns.to_parameters(linear.matrix).T
+    return tuple(ReferenceShift(*named, shift) for named, shift in zip(errors.named, shifts, strict=True))
+
+
 def _directions(samples: Samples, rows: NDArray[np.intp]) -> Floats:
     """Return the direction of flight along ITRF's axes at ``rows``, shape (n, 3), from neighbouring positions."""
     r_km = samples.r_itrf_km if samples.r_itrf_km is not None else np.zeros((0, 3))
@@ -108,25 +173,3 @@ def _along_nt_per_km(source: ReferenceSource, t_utc: Times, r_km: Floats, along:
     ahead = source.field.field_itrf_nt(t_utc, r_km + _STEP_KM * along)
     behind = source.field.field_itrf_nt(t_utc, r_km - _STEP_KM * along)
     return np.asarray((ahead - behind) / (2.0 * _STEP_KM))
-
-
-def _scalar_moves(
-    observations: Observations, parameters: Parameters, _samples: Samples, main_nt: Floats, errors_nt: Floats
-) -> Floats:
-    """Return the change of the parameters, shape (m, p), for errors of the reference, shape (m, n, 3), ITRF, nT."""
-    along_field = np.einsum("mni,ni->nm", errors_nt, main_nt) / np.linalg.norm(main_nt, axis=1)[:, None]
-    return scalar_responses(observations, parameters, along_field).T
-
-
-def _vector_moves(
-    observations: Observations, parameters: Parameters, samples: Samples, _main_nt: Floats, errors_nt: Floats
-) -> Floats:
-    """Return the same where components count."""
-    q, b_nt = samples.q_base_gcrf, observations.require_vector()
-    here = equations_at(observations, parameters, is_vector=True)
-    inverse, moves = scaled_inverse(here.normal), []
-    for error_nt in errors_nt:
-        in_base = rotate(q, itrf_to_gcrf_fast(samples.t_utc, error_nt)) if q is not None else error_nt
-        there = equations_at(replace(observations, b_base_nt=b_nt + in_base), parameters, is_vector=True)
-        moves.append(-inverse @ (there.gradient - here.gradient))
-    return np.array(moves)

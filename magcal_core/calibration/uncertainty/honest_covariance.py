@@ -2,11 +2,11 @@
 
 Notes
 -----
-Correlations between parameters: V = I^-1 (sum over blocks of s s^T) I^-1 with s the block's sum of J r
-(`docs/calibration.md`, errors). Each block is weighed as if it had been left out: (I - I_block)^-1 s in place of
-I^-1 s, so that a block that the estimate hangs on shows. The block length comes from the correlation of the
-parameters' own scores, not from that of the residuals: on a tumbling satellite a slow change of the bias makes a fast
-residual. Variances: from the lowest frequencies of the same scores (`low_frequencies`), which few blocks cannot give.
+V = diag(r) V0 diag(r): correlations are those of V0, the formal covariance (or the posterior one beside errors locked
+to the orbit, `terms.locked`), r is the honest over the formal standard error of each parameter, at least 1. Honest
+variances come from the lowest frequencies of the parameters' own scores (`low_frequencies`). Correlations from blocks
+of the same scores would be those of some eight independent vectors: the quadratic form of nine errors then has a mean
+of 13 under white noise in place of 9, and of hundreds where errors remember an orbit.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _T_95: Final = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HonestCovariance:
-    """Covariance of the parameters, in the order of `Parameters.names`, and the blocks it was taken from.
+    """Covariance of the parameters, in the order of `Parameters.names`, and how long a block of samples remembers.
 
     The covariance contains Student's t: 1.96 standard errors are 95 % although the frequencies are few.
     ``longest_memory_s``: up to which correlation time, s, errors were allowed for.
@@ -57,45 +57,33 @@ def covered_s(t_s: Floats) -> float:
 
 
 def honest_covariance(scores: BlockScores, formal: Floats, samples: int, duration_s: float) -> HonestCovariance:
-    """Return the covariance that the scores show; no parameter's variance is taken below its ``formal`` one.
+    """Return the covariance with the correlations of ``formal``, shape (p, p), and the variances that the scores show.
 
     ``duration_s``: time that the samples cover, s (`covered_s`).
     """
+    widening = np.sqrt(honest_variances(scores, formal, duration_s) / np.maximum(np.diag(formal), 1e-300))
+    widened = formal * np.outer(widening, widening)
+    return with_blocks(widened, scores, samples, duration_s)
+
+
+def with_blocks(covariance: Floats, scores: BlockScores, samples: int, duration_s: float) -> HonestCovariance:
+    """Return ``covariance`` with how many blocks of the scores are nearly independent, and how long these are."""
     count = len(scores.starts)
     per_block = _block_length(scores)
     edges = np.arange(0, count, per_block)
     if len(edges) > MIN_BLOCKS and count - edges[-1] < per_block / 2:
         edges = edges[:-1]
-    sums = np.add.reduceat(scores.scores, edges, axis=0)
-    normals = np.add.reduceat(scores.normals, edges, axis=0)
-    total = scores.normals.sum(axis=0)
-    shifts = _left_out(total - normals, sums)
-    m = len(edges)
-    moves = shifts @ scores.to_parameters.T
-    covariance = moves.T @ moves * (m - 1) / m
-    variances, frequencies = low_frequency_variances(scores, duration_s)
-    wanted = np.maximum(variances * (student_95(frequencies) / 1.96) ** 2, np.diag(formal))
-    raise_by = np.sqrt(wanted / np.maximum(np.diag(covariance), 1e-300))
-    widened = covariance * np.outer(raise_by, raise_by)
-    return HonestCovariance(widened, m, max(1, round(samples * per_block / count)), longest_memory_s(duration_s))
+    block_samples = max(1, round(samples * per_block / count))
+    return HonestCovariance(covariance, len(edges), block_samples, longest_memory_s(duration_s))
 
 
-def _left_out(normals: Floats, scores: Floats) -> Floats:
-    """Return how far the estimate moves when each block is left out, shape (m, q).
+def honest_variances(scores: BlockScores, formal: Floats, duration_s: float) -> Floats:
+    """Return the variance of each reported parameter, shape (p,), Student's t contained, none below its ``formal`` one.
 
-    ``normals``: normal matrices of the rest, shape (m, q, q); ``scores``: scores of the blocks, shape (m, q).
+    ``duration_s``: time that the samples cover, s (`covered_s`).
     """
-    size = np.sqrt(np.maximum(np.diagonal(normals, axis1=1, axis2=2), 1e-300))
-    scaled, sums = normals / (size[:, :, None] * size[:, None, :]), scores / size
-    try:
-        np.linalg.cholesky(scaled)
-        along = np.linalg.solve(scaled, sums[:, :, None])[:, :, 0]
-    except np.linalg.LinAlgError:
-        # Without some block an unknown is not determined: it moves very far, and the others as they would without it.
-        values, vectors = np.linalg.eigh(scaled)
-        by_direction = np.einsum("mij,mi->mj", vectors, sums) / np.maximum(values, 1e-12)
-        along = np.einsum("mij,mj->mi", vectors, by_direction)
-    return np.asarray(along / size)
+    variances, frequencies = low_frequency_variances(scores, duration_s)
+    return np.maximum(variances * (student_95(frequencies) / 1.96) ** 2, np.diag(formal))
 
 
 def _block_length(scores: BlockScores) -> int:

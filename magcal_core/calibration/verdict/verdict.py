@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from magcal_core.arrays import Floats
-from magcal_core.calibration.observability.information import UNOBSERVABLE_BELOW, WEAK_BELOW
+from magcal_core.calibration.field_error import FieldError
 from magcal_core.calibration.reasons import Reason, Verdict
 from magcal_core.calibration.residuals import ResidualStatistics
 from magcal_core.calibration.verdict.agreement import Agreement
@@ -26,22 +26,34 @@ class Limits:
     refuse: float
 
 
-BIAS_ERROR: Final = Limits(0.01, 0.05)
-"""Honest standard error of the bias, as a share of the mean field."""
-SCALE_ERROR: Final = Limits(0.01, 0.05)
-"""Honest standard error of a scale factor, relative."""
-ANGLE_ERROR_DEG: Final = Limits(0.6, 3.0)
-"""Honest standard error of an angle, deg: 0.01 and 0.05 rad."""
+FIELD_ERROR: Final = Limits(0.02, 0.05)
+"""Error of the corrected field in its worst direction, at 95 %, as a share of it (`field_error`)."""
+DETERMINED: Final = 1.0
+"""The same from which on the samples determine nothing: no number is given."""
+NOISE_ALONE: Final = 0.7
+"""Noise-safe index that samples which determine nothing reach at most."""
 MISALIGNED_DEG: Final = Limits(0.6, 3.0)
-"""Turn of the reference against the sensor's base frame that a vector fit cannot follow, deg."""
+"""Standard error of the turn that a full matrix has against the sensor's base frame, deg."""
+TURNED_DEG: Final = 30.0
+"""Turn from which on the attitude or the axis map is another one than was said."""
 RESIDUAL: Final = Limits(0.05, 0.20)
 """RMS residual as a share of the mean field."""
 UNSEEN: Final = Limits(1.6, 4.0)
 """Cross-validated RMS over the RMS of the fit."""
 SCALE_FAR: Final = 2.5
 """Factor between the mean scale factor and 1 from which the readings are hardly in the unit that was said."""
-REJECTED: Final = Limits(0.08, 0.25)
-"""Share of the samples that were left out or lost their weight."""
+REJECTED: Final = Limits(0.08, 0.50)
+"""Share of the rows with a reading that the loss put aside."""
+WITHOUT_READING: Final = Limits(0.50, np.inf)
+"""Share of the rows that hold no reading: empty, zeros, fill values, stuck, repeated, saturated."""
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """Turn of the reference against the sensor's base frame that a full matrix shows, and its standard error, deg."""
+
+    angle_deg: float
+    error_deg: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,6 +61,7 @@ class Evidence:
     """What the verdict is based on; nT where a name has it."""
 
     index: float
+    field_error: FieldError
     parameters: Parameters
     standard_errors: Parameters
     mean_field_nt: float
@@ -57,30 +70,29 @@ class Evidence:
     after: ResidualStatistics
     cross_validated_rms_nt: float | None
     rejected_share: float
+    without_reading_share: float
     is_converged: bool
     is_vector: bool
     is_plain: bool
     orbit_age_days: float
     has_time_offset: bool
     suspicions: tuple[str, ...] = ()
-    misaligned_deg: float = 0.0
+    turn: Turn | None = None
     agreement: Agreement | None = None
     storm: str | None = None
 
 
 def judge(evidence: Evidence) -> Verdict:
     """Return the verdict: ``refuse`` where one reason refuses, else ``weak`` where one weakens, else ``accept``."""
-    found = [
-        *_not_finite(evidence),
-        *_observability(evidence),
-        *_errors(evidence),
-        *_residuals(evidence),
-        *_circumstances(evidence),
-    ]
+    found = [*_not_finite(evidence), *_field(evidence), *_residuals(evidence), *_circumstances(evidence)]
     grades = {grade for grade, _ in found}
     grade = "refuse" if "refuse" in grades else "weak" if "weak" in grades else "accept"
     if not found:
-        found = [("accept", Reason("observable", f"observability index {evidence.index:.3g}, above {WEAK_BELOW:g}"))]
+        share, index = evidence.field_error.share, evidence.index
+        text = (
+            f"the corrected field is known to {share:.2g} of it in its worst direction; observability index {index:.3g}"
+        )
+        found = [("accept", Reason("observable", text))]
     order = {"refuse": 0, "weak": 1, "accept": 2}
     found.sort(key=lambda entry: order[entry[0]])
     return Verdict(grade, tuple(reason for _, reason in found), tuple(grade for grade, _ in found))
@@ -102,9 +114,10 @@ def _graded(value: float, limits: Limits, code: str, text: str) -> _Found:
 
 def _not_finite(evidence: Evidence) -> _Found:
     """Refuse where any figure that the verdict is based on is not a finite number; its limits cannot be asked then."""
-    agreement = evidence.agreement
+    agreement, turn = evidence.agreement, evidence.turn
     figures: dict[str, float | Floats | None] = {
         "observability index": evidence.index,
+        "error of the field": evidence.field_error.share,
         "parameters": evidence.parameters.vector,
         "standard errors": evidence.standard_errors.vector,
         "mean field": evidence.mean_field_nt,
@@ -114,7 +127,7 @@ def _not_finite(evidence: Evidence) -> _Found:
         "residual on unseen data": evidence.cross_validated_rms_nt,
         "share of rejected samples": evidence.rejected_share,
         "age of the orbit": evidence.orbit_age_days,
-        "turn of the reference": evidence.misaligned_deg,
+        "turn of the reference": None if turn is None else np.array([turn.angle_deg, turn.error_deg]),
         "change against the set in force": None
         if agreement is None
         else np.array([agreement.p_value, agreement.field_change_nt, agreement.limit_nt]),
@@ -127,32 +140,19 @@ def _figures_of(residual: ResidualStatistics) -> Floats:
     return np.array([residual.mean_nt, residual.std_nt, residual.rms_nt])
 
 
-def _observability(evidence: Evidence) -> _Found:
-    if evidence.index < UNOBSERVABLE_BELOW:
-        return [
-            (
-                "refuse",
-                Reason("not_observable", f"observability index {evidence.index:.2g}, needed {UNOBSERVABLE_BELOW:g}"),
-            )
-        ]
-    if evidence.index < WEAK_BELOW:
-        return [
-            ("weak", Reason("weakly_observable", f"observability index {evidence.index:.2g}, good from {WEAK_BELOW:g}"))
-        ]
-    return []
-
-
-def _errors(evidence: Evidence) -> _Found:
-    errors = evidence.standard_errors
+def _field(evidence: Evidence) -> _Found:
+    """Weigh the error of the corrected field; the errors of the parameters stay in the text."""
+    errors, found = evidence.standard_errors, evidence.field_error
     bias_nt = float(np.max(errors.bias_nt))
     scale = float(np.max(errors.scale / np.abs(evidence.parameters.scale)))
     angle_deg = float(np.max(errors.nonorthogonality_deg))
-    share = bias_nt / evidence.mean_field_nt
-    return [
-        *_graded(share, BIAS_ERROR, "bias_uncertain", f"bias known to {bias_nt:.0f} nT, {share:.2g} of the field"),
-        *_graded(scale, SCALE_ERROR, "scale_uncertain", f"scale factor known to {scale:.2g}"),
-        *_graded(angle_deg, ANGLE_ERROR_DEG, "angle_uncertain", f"angle known to {angle_deg:.2g} deg"),
-    ]
+    text = (
+        f"the corrected field is known to {found.share:.2g} of it in its worst direction, most of it from the "
+        f"{found.largest}: bias known to {bias_nt:.0f} nT, scale factor to {scale:.2g}, angle to {angle_deg:.2g} deg"
+    )
+    if not found.share <= DETERMINED:
+        return [("refuse", Reason("not_observable", f"{text}, limit {DETERMINED:g}"))]
+    return _graded(found.share, FIELD_ERROR, "field_uncertain", text)
 
 
 def _residuals(evidence: Evidence) -> _Found:
@@ -186,11 +186,12 @@ def _circumstances(evidence: Evidence) -> _Found:
         evidence.rejected_share,
         REJECTED,
         "many_rejected",
-        f"{evidence.rejected_share:.1%} of the samples were left out",
+        f"{evidence.rejected_share:.1%} of the readings were put aside by the loss",
     )
-    turn_deg = evidence.misaligned_deg
-    text = f"the reference is turned by {turn_deg:.2g} deg from the sensor's frame, full_matrix has the rotation"
-    found += _graded(turn_deg, MISALIGNED_DEG, "misaligned", text)
+    text = f"{evidence.without_reading_share:.1%} of the rows hold no reading"
+    found += _graded(evidence.without_reading_share, WITHOUT_READING, "rows_without_reading", text)
+    if evidence.turn is not None:
+        found += _turned(evidence.turn)
     if not evidence.is_converged:
         found.append(("refuse", Reason("not_converged", "the search for the minimum did not end")))
     if evidence.orbit_age_days > 3.0 and not evidence.has_time_offset:
@@ -203,6 +204,14 @@ def _circumstances(evidence: Evidence) -> _Found:
         found.append(("weak", Reason("storm", evidence.storm)))
     found += [("refuse", Reason("wrong_input_suspected", text)) for text in evidence.suspicions]
     return found
+
+
+def _turned(turn: Turn) -> _Found:
+    """Weigh a turn that the full matrix shows: one that is known well is a warning of the fit, no reason."""
+    text = f"the reference is turned by {turn.angle_deg:.3g} +- {turn.error_deg:.2g} deg from the sensor's frame"
+    if turn.angle_deg > TURNED_DEG:
+        return [("refuse", Reason("frame", f"{text}: mend the axis map or the attitude, limit {TURNED_DEG:g} deg"))]
+    return _graded(turn.error_deg, MISALIGNED_DEG, "misaligned", f"{text}, known to {turn.error_deg:.2g} deg")
 
 
 def _scale_far(evidence: Evidence) -> _Found:

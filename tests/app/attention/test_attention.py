@@ -75,7 +75,7 @@ def test_a_disagreeing_session_is_told_and_two_buttons_mend_it(api, orbited, flo
     assert (own["grade"], own["residual_ratio"]) == ("agrees", pytest.approx(1.0, abs=0.1))
     assert "no_active_set" not in entries(api, orbited)
 
-    moved = replace(flown, h_nt=flown.h_nt + np.array([0.0, 2000.0, 0.0]), t_utc=flown.t_utc + np.timedelta64(3, "h"))
+    moved = replace(flown, h_nt=flown.h_nt + np.array([0.0, 2000.0, 0.0]))
     second = sent(api, orbited, moved)
     told = until(lambda: entries(api, orbited).get("session_disagrees"))
     assert told["severity"] == "act"

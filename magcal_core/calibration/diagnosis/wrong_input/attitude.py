@@ -14,8 +14,10 @@ from magcal_core.calibration.diagnosis.wrong_input.scores import affine_residual
 from magcal_core.numerics.robust import robust_sigma
 from magcal_core.samples import Samples
 
-GROSS_RATIO: Final = 5.0
-"""Drop of the residual from which another quaternion convention is suspected: a wrong one leaves most of the field."""
+QUATERNION_RATIO: Final = 1.5
+"""Drop of the residual from which another quaternion convention is suspected, whatever became of the fit."""
+DOUBTED_RATIO: Final = 1.1
+"""The same where the fit found a dead axis, a turned frame or no result: right files reach 0.95 at most."""
 NEAR_RATIO: Final = 1.15
 """Drop from which another inertial frame is suspected.
 
@@ -47,8 +49,10 @@ class AttitudeCandidate:
         return self.before_nt / self.after_nt
 
 
-def best_attitude(samples: Samples) -> AttitudeCandidate | None:
+def best_attitude(samples: Samples, quaternion_ratio: float = QUATERNION_RATIO) -> AttitudeCandidate | None:
     """Return the best reading of the attitude, the one that was sent included; None without attitude.
+
+    ``quaternion_ratio``: drop of the residual from which another convention of the quaternions is believed.
 
     Notes
     -----
@@ -70,11 +74,18 @@ def best_attitude(samples: Samples) -> AttitudeCandidate | None:
     before = affine_rms_nt(h_nt, sent[use])
     is_gross = before > _GROSS_SHARE * float(np.mean(np.linalg.norm(gcrf[use], axis=1)))
     best = AttitudeCandidate("as sent", "the attitude is as it was sent", np.inf, before, before, sent)
-    for name, says, threshold, b_base in _candidates(samples, q, gcrf, is_gross=is_gross):
+    for name, says, candidate in _readings(q):
+        b_base = rotate(candidate, gcrf)
         after = affine_rms_nt(h_nt, b_base[use])
-        is_better = before / after >= threshold and after < best.after_nt
-        if is_better and (is_gross or _is_this_turn(h_nt, q[use], gcrf[use], b_base[use])):
-            best = AttitudeCandidate(name, says, threshold, before, after, b_base)
+        if before / after >= quaternion_ratio and after < best.after_nt:
+            best = AttitudeCandidate(name, says, quaternion_ratio, before, after, b_base)
+    if is_gross or best.threshold < np.inf:
+        return best
+    for name, says, b_base in _inertial_frames(samples, q, gcrf):
+        after = affine_rms_nt(h_nt, b_base[use])
+        is_better = before / after >= NEAR_RATIO and after < best.after_nt
+        if is_better and _is_this_turn(h_nt, q[use], gcrf[use], b_base[use]):
+            best = AttitudeCandidate(name, says, NEAR_RATIO, before, after, b_base)
     return best
 
 
@@ -100,26 +111,21 @@ def _is_this_turn(h_nt: Floats, q: Floats, gcrf: Floats, candidate: Floats) -> b
     return bool(np.linalg.norm(found - meant) <= _SAME_TURN * np.linalg.norm(meant))
 
 
-def _candidates(
-    samples: Samples, q: Floats, gcrf: Floats, *, is_gross: bool
-) -> Iterator[tuple[str, str, float, Floats]]:
-    if is_gross:
-        rolled = np.roll(q, 1, axis=1)
-        for name, says, candidate in (
-            ("inverse quaternions", "the quaternions seem to be the inverse ones (base to GCRF)", conjugate(q)),
-            ("scalar-last quaternions", "the quaternions seem to be scalar-last", rolled),
-            (
-                "inverse scalar-last quaternions",
-                "the quaternions seem to be scalar-last and inverse",
-                conjugate(rolled),
-            ),
-        ):
-            yield name, says, GROSS_RATIO, rotate(candidate, gcrf)
-        return
+def _readings(q: Floats) -> Iterator[tuple[str, str, Floats]]:
+    """Yield what else the quaternions may mean: name, words, quaternions."""
+    rolled = np.roll(q, 1, axis=1)
+    yield "inverse quaternions", "the quaternions seem to be the inverse ones (base to GCRF)", conjugate(q)
+    yield "scalar-last quaternions", "the quaternions seem to be scalar-last", rolled
+    both = "the quaternions seem to be scalar-last and inverse"
+    yield "inverse scalar-last quaternions", both, conjugate(rolled)
+
+
+def _inertial_frames(samples: Samples, q: Floats, gcrf: Floats) -> Iterator[tuple[str, str, Floats]]:
+    """Yield what else the inertial frame may be: name, words, field in the base frame."""
     turn = _teme_to_gcrf(samples)
-    yield "attitude from TEME", "the attitude seems to refer to TEME, not to GCRF", NEAR_RATIO, rotate(q, gcrf @ turn)
+    yield "attitude from TEME", "the attitude seems to refer to TEME, not to GCRF", rotate(q, gcrf @ turn)
     reference = "the reference field seems to be in TEME, not in GCRF"
-    yield "reference in TEME", reference, NEAR_RATIO, rotate(q, gcrf @ turn.T)
+    yield "reference in TEME", reference, rotate(q, gcrf @ turn.T)
 
 
 def _teme_to_gcrf(samples: Samples) -> Floats:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats
-from magcal_core.calibration.diagnosis.wrong_input.attitude import AttitudeCandidate, best_attitude
+from magcal_core.calibration.diagnosis.wrong_input.attitude import QUATERNION_RATIO, AttitudeCandidate, best_attitude
 from magcal_core.calibration.diagnosis.wrong_input.axes import AxisCandidate, best_axes
 from magcal_core.calibration.diagnosis.wrong_input.position_frame import best_position_frame
 from magcal_core.calibration.diagnosis.wrong_input.time_scale import KNOWN_SCALES, scale_of_offset, scan_scales
@@ -57,6 +57,7 @@ def suspicions(
     *,
     clock: ClockFinding | None = None,
     position_field: FieldModel | None = None,
+    quaternion_ratio: float = QUATERNION_RATIO,
 ) -> tuple[Suspicion, ...]:
     """Return what is suspected of ``samples``, whose reference columns are filled; nothing where they are too few.
 
@@ -68,6 +69,8 @@ def suspicions(
         Offset that a fit found. Without it the clock is scanned.
     position_field : FieldModel, optional
         Given where the positions came with the telemetry: then their frame is looked at.
+    quaternion_ratio : float
+        Drop of the residual from which another convention of the quaternions is suspected.
     """
     index = usable(samples)
     thinned = _thinned(samples, index)
@@ -77,7 +80,7 @@ def suspicions(
     found = [*_units(used.h_nt, b_nt)]
     if found:
         return tuple(found)
-    found += _frames(used)
+    found += _frames(used, quaternion_ratio)
     if position_field is not None and used.r_itrf_km is not None:
         found += _positions(used, b_nt, position_field)
     found += _clock(samples, index, clock)
@@ -151,7 +154,7 @@ def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _frames(used: Samples) -> Iterator[Suspicion]:
+def _frames(used: Samples, quaternion_ratio: float) -> Iterator[Suspicion]:
     """Yield what is suspected of attitude and axes, where the field is known as a vector in the base frame."""
     if used.b_ref_base_nt is None:
         return
@@ -162,7 +165,7 @@ def _frames(used: Samples) -> Iterator[Suspicion]:
     base = known.b_ref_base_nt
     if base is None:
         return
-    attitude = best_attitude(known)
+    attitude = best_attitude(known, quaternion_ratio)
     if attitude is not None:
         base = attitude.b_base_nt
         if attitude.ratio >= attitude.threshold:

@@ -42,10 +42,13 @@ def mission() -> tuple[Samples, Sgp4Orbit]:
 
 
 @cache
-def calibrated(method: str, robust: str = "none", regressors: tuple[str, ...] = (), clock: str = "none") -> Calibration:
+def calibrated(
+    method: str, robust: str = "none", regressors: tuple[str, ...] = (), clock: str = "none", locked: str = "none"
+) -> Calibration:
     """Return the mission's calibration with its moments."""
     samples, orbit = mission()
     options = {"method": method, "robust": robust, "regressors": regressors, "time_offset": clock}
+    options |= {"locked_terms": locked, "noise_model": "none"}
     return calibrate(samples, [orbit], with_moments=True, **options)
 
 
@@ -112,7 +115,10 @@ def test_a_regressor_is_left_out_as_by_a_calibration(method: str, robust: str) -
 def test_auto_takes_what_unseen_blocks_bear_out(method: str) -> None:
     found = refit(moments(method, "huber"), RefitOptions("auto"))
     samples, orbit = mission()
-    whole = calibrate(samples, [orbit], method=method, robust="huber", regressors="auto", time_offset="none")
+    # A calibration asks for evidence beside every smooth bias as well: the column is given ten times its effect there.
+    warmth = samples.housekeeping["temperature"] - 290.0
+    stronger = replace(samples, h_nt=samples.h_nt + 9.0 * warmth[:, None] * PER_KELVIN_NT)
+    whole = calibrate(stronger, [orbit], method=method, robust="huber", regressors="auto", time_offset="none")
     assert tuple(found.parameters.regressors) == tuple(whole.parameters.regressors) == ("temperature",)
     assert [row.regressors for row in found.ablation if row.is_selected] == [("temperature",)]
 
@@ -135,7 +141,7 @@ def test_one_step_of_the_clock_goes_nearly_all_of_the_way_of_half_a_minute(metho
     _, orbit = mission()
     disturbed = Disturbances(20.0, time_offset_s=30.0)
     late = simulate(orbit, SENSOR, START, 14000.0, 10.0, rate_deg_s=0.5, disturbances=disturbed, seed=2).samples
-    kept = calibrate(late, [orbit], method=method, time_offset="none", with_moments=True).moments
+    kept = calibrate(late, [orbit], method=method, time_offset="none", locked_terms="none", with_moments=True).moments
     assert kept is not None
     found = refit(kept, RefitOptions(time_offset=True)).time_offset
     assert found is not None
@@ -154,6 +160,23 @@ def test_a_fit_with_a_clock_keeps_it_among_the_unknowns(method: str) -> None:
     held = refit(kept, RefitOptions(time_offset=False))
     assert held.time_offset is None
     assert held.parameters.time_offset_s == pytest.approx(whole.parameters.time_offset_s, abs=1e-3)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("clock", ["none", "estimate"])
+def test_a_refit_beside_locked_errors_is_the_calibration(method: str, clock: str) -> None:
+    """The moments know nothing of locked errors: value and error of each parameter are the calibration's."""
+    whole = calibrated(method, "none", ("temperature",), clock, "auto")
+    assert whole.moments is not None
+    found = refit(FitMoments.from_bytes(whole.moments.to_bytes()), RefitOptions())
+    np.testing.assert_allclose(found.parameters.vector, whole.parameters.vector, rtol=1e-6, atol=1e-6)
+    count = found.standard_errors.vector.size
+    np.testing.assert_allclose(found.standard_errors.vector, whole.standard_errors.vector[:count], rtol=1e-6)
+    if clock == "estimate":
+        assert found.time_offset is not None
+        assert found.time_offset.error_s == pytest.approx(whole.standard_errors.time_offset_s)
+    without = refit(whole.moments, RefitOptions(()))
+    assert "temperature" not in without.parameters.regressors
 
 
 @pytest.mark.parametrize("method", METHODS)
