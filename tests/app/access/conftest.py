@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import timedelta
+from pathlib import Path
 
 import httpx2
 import pytest
@@ -21,6 +22,9 @@ ABSENT = "0" * 32
 CSV = {"content-type": "text/csv"}
 JSON = {"content-type": "application/json"}
 TLE = {"content-type": "text/plain"}
+INDEX = b"hour,dst_nt\n1999-05-11T00:00:00Z,-10\n"
+"""Hours before all telemetry of these tests."""
+FIELD_FILE = Path(__file__).resolve().parents[2] / "data" / "field" / "core.shc"
 FIGURES = {"parameter_set_id": "before-after", "session_id": "raw", "satellite_id": "history"}
 
 
@@ -83,6 +87,9 @@ class World:
             "POST /sessions/{session_id}/notes": {"json": {"text": "a note"}},
             "POST /parameter-sets/{parameter_set_id}/notes": {"json": {"text": "a note"}},
             "POST /webhooks": {"json": {"url": "http://127.0.0.1:9/", "events": ["attention.raised"]}},
+            "POST /sessions/{session_id}/which-object": {"content": tle_text().encode(), "headers": TLE},
+            "POST /indices": {"content": INDEX, "headers": CSV},
+            "POST /field-files": {"content": FIELD_FILE.read_bytes(), "headers": TLE},
             "GET /sessions/{session_id}/residual": {"params": {"parameter_set": ids["parameter_set_id"]}},
             "GET /sessions/{session_id}/comparison": {"params": {"other": ids["session_id"]}},
             "GET /figures/compare": {"params": {"first": ids["parameter_set_id"], "second": ids["parameter_set_id"]}},
@@ -121,7 +128,7 @@ def guarded(operations) -> list[Operation]:
 
 @pytest.fixture(scope="session")
 def world(service, names) -> World:
-    """A satellite with one of everything: magnetometer, orbit, session, job, parameter set, key."""
+    """A satellite with one of everything: magnetometer, orbit, session, job, parameter set, key; an index, a file."""
     with service.client() as admin:
         return build_world(admin, next(names))
 
@@ -138,6 +145,8 @@ def build_world(admin: httpx2.Client, name: str) -> World:
     job = ended(admin, admin.post("/jobs", json=wanted).raise_for_status().json()["id"])
     assert job["state"] == "succeeded", job["error"]
     key = admin.post("/keys", json={"scopes": ["read"], "satellites": [name]}).raise_for_status().json()
+    index = admin.post("/indices", content=INDEX, headers=CSV).raise_for_status()
+    field_file = admin.post("/field-files", content=FIELD_FILE.read_bytes(), headers=TLE).raise_for_status()
     hook = admin.post("/webhooks", json={"url": "http://127.0.0.1:9/", "events": ["attention.raised"]})
     ids = {
         "webhook_id": hook.raise_for_status().json()["id"],
@@ -150,6 +159,8 @@ def build_world(admin: httpx2.Client, name: str) -> World:
         "job_id": job["id"],
         "parameter_set_id": job["result"]["parameter_set_id"],
         "key_id": key["id"],
+        "index_id": index.json()["id"],
+        "file_id": field_file.json()["id"],
     }
     return World(name, ids, telemetry)
 

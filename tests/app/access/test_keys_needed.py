@@ -15,6 +15,8 @@ SCOPES = {
     "PATCH /satellites/{satellite_id}/magnetometers/{magnetometer_id}": "operate",
     "GET /satellites/{satellite_id}/magnetometers": "read",
     "GET /satellites/{satellite_id}/magnetometers/{magnetometer_id}": "read",
+    "GET /satellites/{satellite_id}/magnetometers/{magnetometer_id}/trend": "read",
+    "GET /satellites/{satellite_id}/magnetometers/{magnetometer_id}/trend/series": "read",
     "DELETE /satellites/{satellite_id}": "admin",
     "POST /satellites/{satellite_id}/orbits": "ingest operate",
     "GET /satellites/{satellite_id}/orbits": "read",
@@ -27,6 +29,8 @@ SCOPES = {
     "POST /sessions/{session_id}/samples": "ingest",
     "GET /sessions/{session_id}/samples": "read",
     "POST /sessions/{session_id}/close": "ingest",
+    "POST /sessions/{session_id}/read-again": "operate",
+    "POST /sessions/{session_id}/which-object": "read",
     "GET /sessions": "read",
     "GET /sessions/{session_id}": "read",
     "GET /sessions/{session_id}/summary": "read",
@@ -49,6 +53,8 @@ SCOPES = {
     "GET /parameter-sets/{parameter_set_id}/report": "read",
     "GET /parameter-sets/{parameter_set_id}/pointing": "read",
     "GET /parameter-sets/{parameter_set_id}/refit": "read",
+    "GET /parameter-sets/{parameter_set_id}/bias-path": "read",
+    "GET /parameter-sets/{parameter_set_id}/rollout": "read",
     "GET /parameter-sets/{parameter_set_id}/figures/{figure}": "read",
     "POST /parameter-sets/{parameter_set_id}/activate": "operate",
     "POST /parameter-sets/{parameter_set_id}/rollback": "operate",
@@ -71,6 +77,12 @@ SCOPES = {
     "GET /parameter-sets/{parameter_set_id}/notes": "read",
     "POST /parameter-sets/{parameter_set_id}/notes": "operate",
     "POST /field": "read",
+    "POST /indices": "ingest",
+    "GET /indices": "read",
+    "GET /indices/{index_id}": "read",
+    "POST /field-files": "ingest",
+    "GET /field-files": "read",
+    "GET /field-files/{file_id}": "read",
     "POST /keys": "admin",
     "GET /keys": "admin",
     "POST /keys/{key_id}/revoke": "admin",
@@ -193,7 +205,12 @@ def test_every_path_with_a_route_is_documented_or_a_page(service, operations):
     app = service.server.config.app
     pages = {"/", "/login", "/login/state", "/logout", "/compare", "/jobs", "/keys", "/docs", "/docs/oauth2-redirect"}
     pages |= {"/openapi.json", "/satellites/{satellite_id}", "/sessions/{session_id}", "/parameter-sets/{set_id}"}
-    pages |= {"/assets/plotly-{named_version}.min.js", "/static/{named_version}/{name}", "/static-offline-docs"}
+    pages |= {
+        "/reasons",
+        "/assets/plotly-{named_version}.min.js",
+        "/static/{named_version}/{name}",
+        "/static-offline-docs",
+    }
     assert set(_paths(app.routes, "")) - {operation.path for operation in operations} == pages
 
 
