@@ -82,6 +82,8 @@ class RefitModelRead(Record):
     rms_nt: float | None
     cross_validated_rms_nt: float | None = Field(description="Null where a part of the data does not determine it.")
     cost: float | None = Field(description="Weighted sum of squares, nT^2.")
+    log_evidence: float | None = Field(description="Null where unseen blocks decide instead of the evidence.")
+    surrogate_max: float | None = Field(description="Null likewise.")
     selected: bool
 
 
