@@ -271,15 +271,35 @@ def test_what_is_asked_for_again_and_again_is_interpolated_at_sparser_samples(st
         np.testing.assert_allclose(b_base_nt, _turned(q, want_nt), rtol=0, atol=WITHIN_NT)
 
 
-def test_a_radius_beyond_the_model_is_refused_as_at_every_sample() -> None:
-    """Five Earth radii lie between the perigee and the apogee of a transfer orbit; dense or not, the same is said."""
+def test_samples_beyond_the_model_are_left_out_dense_or_not_and_the_others_have_their_field() -> None:
+    """Five Earth radii lie between the perigee and the apogee of a transfer orbit.
+
+    At times that move there is no sample to leave out: they are asked for with the far ones out, and else refused.
+    """
     orbit = _orbit("transfer orbit")
     t_utc = _seconds(orbit, np.arange(0.0, 15_000.0))
     for some in (t_utc, t_utc[::60]):
-        with pytest.raises(ModelRangeError, match="to 31856 km"):
-            _reference(orbit, some)
+        r_km = np.linalg.norm(orbit.state_teme(some)[0], axis=1)
+        is_beyond = r_km > 31_856.0
+        assert 0 < np.count_nonzero(is_beyond) < len(some)
+        filled = _reference(orbit, some)
+        magnitude_nt = _given(filled.b_ref_magnitude_nt)
+        np.testing.assert_array_equal(np.isnan(magnitude_nt), is_beyond)
+        want_nt = np.linalg.norm(_every_sample(orbit, FIELD, some[~is_beyond]), axis=1)
+        np.testing.assert_allclose(magnitude_nt[~is_beyond], want_nt, rtol=0, atol=WITHIN_NT)
+        is_weak = magnitude_nt < np.nanmax(magnitude_nt) / 20.0
+        is_far = (filled.flags & np.uint16(SampleFlag.FAR)) > 0
+        np.testing.assert_array_equal(is_far, is_beyond | is_weak)
         with pytest.raises(ModelRangeError, match="to 31856 km"):
             MovingReference.about(some, [orbit], FIELD, is_gcrf=False, uses=4).at(some, None)
+
+
+def test_where_every_sample_is_beyond_the_model_it_is_refused() -> None:
+    orbit = _orbit("transfer orbit")
+    t_utc = _seconds(orbit, np.arange(14_000.0, 16_000.0, 60.0))
+    assert np.all(np.linalg.norm(orbit.state_teme(t_utc)[0], axis=1) > 31_856.0)
+    with pytest.raises(ModelRangeError, match="to 31856 km"):
+        _reference(orbit, t_utc)
 
 
 def test_the_last_samples_within_a_model_need_no_node_beyond_it() -> None:

@@ -39,6 +39,9 @@ def test_outliers_are_counted_where_no_loss_weighs_them(mission):
     h_nt = samples.h_nt.copy()
     h_nt[::50] *= 1.0 + 20_000.0 / np.linalg.norm(h_nt[::50], axis=1, keepdims=True)
     spiked = mc.Samples(samples.t_utc, h_nt, b_ref_magnitude_nt=samples.b_ref_magnitude_nt)
-    (told,) = warned(mc.calibrate(spiked), "outliers")
+    (told,) = warned(mc.calibrate(spiked, robust="none"), "outliers")
     assert told.startswith("outliers: 14 residuals")
-    assert not warned(mc.calibrate(spiked, robust="tukey"), "outliers")
+    for robust in ("auto", "tukey"):
+        weighed = mc.calibrate(spiked, robust=robust)
+        assert not warned(weighed, "outliers")
+        assert np.flatnonzero(weighed.residuals.weight == 0.0).tolist() == list(range(0, 700, 50))

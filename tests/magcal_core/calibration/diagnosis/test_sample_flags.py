@@ -57,7 +57,18 @@ def test_flags_stand_in_the_residual_table_and_change_nothing(mission):
     samples = mission(noise_nt=50.0).samples
     h = samples.h_nt.copy()
     h[123] += 8000.0
-    plain = calibrate(replace(samples, h_nt=h))
+    plain = calibrate(replace(samples, h_nt=h), robust="none")
     flagged = np.flatnonzero(plain.residuals.flags & SampleFlag.SPIKE)
     assert flagged.tolist() == [123]
     assert plain.residuals.weight[123] == 1.0
+
+
+def test_the_loss_of_the_default_puts_the_spike_aside_and_its_flag_stands_too(mission):
+    from dataclasses import replace
+
+    samples = mission(noise_nt=50.0).samples
+    h = samples.h_nt.copy()
+    h[123] += 8000.0
+    got = calibrate(replace(samples, h_nt=h))
+    assert np.flatnonzero(got.residuals.flags & SampleFlag.SPIKE).tolist() == [123]
+    assert got.residuals.weight[123] == 0.0
