@@ -42,10 +42,10 @@ def five_samples() -> str:
 @pytest.mark.parametrize("content", [along_one_axis, in_a_plane, without_motion, five_samples])
 @pytest.mark.parametrize("method", ["scalar", "scalar-hooke-jeeves"])
 def test_what_cannot_be_observed_is_said_and_no_number_is_invented(send, finished, content, method):
-    """The job fails with a code of estimation, or the verdict refuses; never an accepted parameter set."""
+    """The job fails with a code of estimation, or with the input's fault where it has a name; there is no number."""
     job = finished(send(content()).raise_for_status().json()["id"], method=method)
     assert job["state"] == "failed", job
-    known = {"not_observable", "no_excitation", "coplanar_field", "dead_axis", "insufficient_samples"}
+    known = {"not_observable", "no_excitation", "coplanar_field", "dead_axis", "insufficient_samples", "wrong_input"}
     assert job["error"]["code"] in known, job["error"]
     assert job["result"] is None
     assert job["attempts"] == 1

@@ -249,7 +249,8 @@ def test_column_names_that_a_spreadsheet_would_run_are_kept_and_defused_in_csv(s
 def test_names_never_become_paths(service, api, name, satellite):
     before = {path for path in service.settings.data_dir.rglob("*") if path.is_file()}
     outside = set(service.settings.data_dir.parent.iterdir())
-    assert api.post("/satellites", json={"id": name}).status_code == 422
+    # A NUL is refused at the door, where no schema has been asked yet.
+    assert api.post("/satellites", json={"id": name}).status_code == (400 if "\0" in name else 422)
     headers = {"content-type": "text/csv", "content-disposition": f'attachment; filename="{name!a}"'}
     answer = api.post(f"/satellites/{satellite}/sessions?magnetometer=mgm", content=table(33), headers=headers)
     assert answer.status_code == 201
@@ -272,5 +273,7 @@ def test_every_hostile_file_is_refused_with_its_faults_and_every_good_one_accept
             content=path.read_bytes(),
             headers={"content-type": kinds.get(path.suffix, "application/vnd.apache.parquet")},
         )
-        wanted = 201 if path.name.startswith("good") else 422
+        # Lines that were cut short have lost their last row alone: that is counted, and the rest is read.
+        is_read = path.name.startswith("good") or path.name in {"truncated.csv", "truncated.ndjson"}
+        wanted = 201 if is_read else 422
         assert answer.status_code == wanted, (path.name, answer.text)

@@ -106,7 +106,7 @@ def test_of_a_file_cut_short_that_has_a_line_a_row_the_last_row_is_lost_and_coun
 
 @pytest.mark.parametrize("kind", FORMATS)
 def test_the_files_in_the_data_folder_are_read_or_refused_as_their_names_say(kind: str, data_dir: Path) -> None:
-    """A file of lines that was cut short has lost its last row of twelve and no more: that is counted, and it is read."""
+    """A file of lines that was cut short has lost its last row of twelve alone: that is counted, and it is read."""
     good = read_telemetry(data_dir / "hostile" / f"good.{kind}")
     assert good.quality.used == len(good.samples) == 12
     read = {"good"} | ({"truncated"} if kind in ("csv", "ndjson") else set())
