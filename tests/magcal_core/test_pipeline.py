@@ -29,7 +29,13 @@ BRO4_COLUMNS = {"time": "ts", "bx": "extmag_0", "by": "extmag_1", "bz": "extmag_
 BRO4_REFERENCE = {f"ref_eci_{axis}": f"ephem_mageci_{i}" for i, axis in enumerate("xyz")}
 
 
-PLAIN = {"robust": "none", "noise_model": "none", "time_offset": "none"}
+PLAIN = {
+    "robust": "none",
+    "noise_model": "none",
+    "time_offset": "none",
+    "locked_terms": "none",
+    "bias_steps": "none",
+}
 """The plain fit, to the rows as they came: that of published figures."""
 
 
@@ -236,11 +242,24 @@ class TestBro4:
 
     @pytest.mark.parametrize("method", ["scalar", "scalar-hooke-jeeves"])
     def test_stale_tle_with_its_offset_estimated(self, bare, tle, on_board, method):
-        got = calibrate(bare, tle, max_orbit_age_days=60.0, method=method, robust="none")
+        options = {**PLAIN, "time_offset": "estimate"}
+        got = calibrate(bare, tle, max_orbit_age_days=60.0, method=method, **options)
         assert got.parameters.time_offset_s == pytest.approx(31, abs=1)
         assert got.after.rms_nt <= 195
         assert np.abs(got.parameters.bias_nt - on_board.parameters.bias_nt).max() <= 50
         assert np.shape(got.covariance) == (10, 10)
+
+    @pytest.mark.parametrize("method", ["scalar", "scalar-hooke-jeeves"])
+    def test_beside_locked_errors_the_offset_of_a_stale_tle_agrees_within_its_interval(
+        self, bare, tle, on_board, method
+    ):
+        """The plain fit's 31 s, and the bias that the reference on board gives."""
+        got = calibrate(bare, tle, max_orbit_age_days=60.0, method=method, robust="none")
+        assert np.shape(got.covariance) == (10, 10)
+        assert got.parameters.time_offset_s == pytest.approx(31.6, abs=1.96 * got.standard_errors.time_offset_s)
+        assert got.standard_errors.time_offset_s < 5.0
+        apart = np.abs(got.parameters.bias_nt - on_board.parameters.bias_nt)
+        assert np.all(apart < 1.96 * np.hypot(got.standard_errors.bias_nt, on_board.standard_errors.bias_nt))
 
 
 class TestPartOfTheAttitude:
