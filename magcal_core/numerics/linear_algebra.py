@@ -3,17 +3,34 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
 from numba import njit
 
 from magcal_core.arrays import Floats
 
+LEAST_PIVOT: Final = 1e-11
+"""Share of a column's square, beside the others, below which some fifty thousand roundings leave no sure sign."""
+
 
 def scaled_inverse(normal: Floats) -> Floats:
     """Return the inverse of a normal matrix, taken with a unit diagonal so that units cost no digits."""
     size = np.sqrt(np.diag(normal))
     return np.asarray(np.linalg.inv(normal / np.outer(size, size)) / np.outer(size, size))
+
+
+def is_positive_definite(normal: Floats) -> bool:
+    """Return whether a normal matrix with a unit diagonal has a Cholesky factor with no pivot below `LEAST_PIVOT`."""
+    square = np.diag(normal)
+    if not (np.isfinite(normal).all() and (square > 0.0).all()):
+        return False
+    size = np.sqrt(square)
+    try:
+        factor = np.linalg.cholesky(normal / size[:, None] / size)
+    except np.linalg.LinAlgError:
+        return False
+    return bool(np.diag(factor).min() ** 2 > LEAST_PIVOT)
 
 
 @njit(cache=True, nogil=True)

@@ -25,7 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats
-from magcal_core.numerics.linear_algebra import scaled_inverse
+from magcal_core.calibration.observability.information import PARAMETER_NAMES
+from magcal_core.errors import NotObservableError
+from magcal_core.numerics.linear_algebra import is_positive_definite, scaled_inverse
 
 SIZES: Final = (0.0, 0.1, 0.3, 1.0, 3.0)
 """Sizes of a family, root mean square, that are tried, in standard deviations of the residual."""
@@ -64,8 +66,19 @@ class Reduced:
 
     @classmethod
     def of(cls, total: Floats, known: int) -> Reduced:
-        """Return what ``total``, products of (J, F, y), leaves of F and y beside the ``known`` columns of J."""
+        """Return what ``total``, products of (J, F, y), leaves of F and y beside the ``known`` columns of J.
+
+        Raises
+        ------
+        NotObservableError
+            J'J is not positive definite: about such an estimate nothing has a covariance.
+        """
         q = known
+        if not is_positive_definite(total[:q, :q]):
+            raise NotObservableError(
+                "the samples do not determine the parameters: their normal matrix is not positive definite",
+                PARAMETER_NAMES,
+            )
         inverse = scaled_inverse(total[:q, :q])
         found = inverse @ total[:q, q:]
         rest = total[q:, q:] - total[:q, q:].T @ found
