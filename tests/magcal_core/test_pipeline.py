@@ -434,16 +434,32 @@ class TestTimeOffset:
             assert [w for w in got.warnings if w.startswith("time_offset_not_used")]
 
     def test_an_offset_is_sought_again_beside_the_regressors(self, orbit):
-        """3 uT of a heater that switches hide two seconds; beside its current the offset is known to 0.2 s."""
-        samples = self.made(orbit, 2.0, days=5.0, seed=0, duration_s=6900.0).samples
+        """3 uT of a heater that switches hide two seconds; beside its current they show, with half the error.
+
+        They are told and not taken: after five days the orbit may be as far off along its track; six seconds are taken.
+        """
         rng = np.random.default_rng(1000)
-        current = 0.5 * (np.cumsum(rng.random(len(samples)) < 0.02) % 2) + 0.01 * rng.normal(size=len(samples))
-        h_nt = samples.h_nt + current[:, None] * [2400.0, -1600.0, 1800.0]
-        switched = replace(samples, h_nt=h_nt, housekeeping={"heater_a": current})
-        assert calibrate(switched, [orbit]).parameters.time_offset_s is None
-        got = calibrate(switched, [orbit], regressors="auto")
+        flown = {offset_s: self.made(orbit, offset_s, days=5.0, seed=0, duration_s=6900.0) for offset_s in (2.0, 6.0)}
+        count = len(flown[2.0].samples)
+        current = 0.5 * (np.cumsum(rng.random(count) < 0.02) % 2) + 0.01 * rng.normal(size=count)
+        moved_nt = current[:, None] * [2400.0, -1600.0, 1800.0]
+        switched = {
+            offset_s: replace(made.samples, h_nt=made.samples.h_nt + moved_nt, housekeeping={"heater_a": current})
+            for offset_s, made in flown.items()
+        }
+        hidden = calibrate(switched[2.0], [orbit])
+        assert hidden.parameters.time_offset_s is None
+        assert not hidden.extras["time_offset"]["is_significant"]
+        got = calibrate(switched[2.0], [orbit], regressors="auto")
         assert list(got.parameters.regressors) == ["heater_a"]
-        assert got.parameters.time_offset_s == pytest.approx(2.0, abs=4 * got.standard_errors.time_offset_s)
+        clock = got.extras["time_offset"]
+        assert clock["is_significant"]
+        assert not clock["is_taken"]
+        assert clock["offset_s"] == pytest.approx(2.0, abs=4 * clock["standard_error_s"])
+        assert clock["standard_error_s"] < 0.6 * hidden.extras["time_offset"]["standard_error_s"]
+        taken = calibrate(switched[6.0], [orbit], regressors="auto")
+        assert list(taken.parameters.regressors) == ["heater_a"]
+        assert taken.parameters.time_offset_s == pytest.approx(6.0, abs=4 * taken.standard_errors.time_offset_s)
 
     @pytest.mark.parametrize("method", ["scalar", "vector"])
     def test_some_seconds_are_told_from_nothing(self, orbit, method):
