@@ -65,7 +65,9 @@ def with_moving_bias(
     """
     options = session.options
     if options.bias_steps != "none":
-        steps = steps_of_session(moments, calibration.verdict)
+        # Moments are of nine parameters: what twelve explain beside them would look like steps.
+        is_full = calibration.extras.get("parameters_of") == "full"
+        steps = steps_of_session(None if is_full else moments, calibration.verdict)
         if options.bias_steps == "fit" and steps.items and moments is not None:
             fitted = again(*_with_steps_fitted(session, moments, steps))
             calibration, steps = replace(fitted, options=options.to_dict()), replace(steps, is_fitted=True)

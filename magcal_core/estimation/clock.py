@@ -81,7 +81,7 @@ def _beside_locked_errors(estimate: Estimate) -> Estimate:
 
 def _tried(session: LockedSession, prepared: Prepared, loss: LossFit, begin_s: float, *, is_asked: bool) -> LockedClock:
     """Return the clock that was looked for, on some of very many samples; unasked, one step may be enough."""
-    guide, names = _guide(prepared.estimator), tuple(prepared.observations.regressors)
+    guide, names = guide_of(prepared.estimator), tuple(prepared.observations.regressors)
     few, rows = session.thinned()
     settings = loss.settings
     if settings.begin is not None and rows != slice(None):
@@ -104,7 +104,7 @@ def _tried(session: LockedSession, prepared: Prepared, loss: LossFit, begin_s: f
 def _on_all(session: LockedSession, prepared: Prepared, loss: LossFit, found: LockedClock) -> LockedClock | None:
     """Return what was found with the method's own fit to all samples at that clock; None where no orbit reaches."""
     here, fit, estimator = found.observations, found.fit, prepared.estimator
-    is_own = _guide(estimator) is estimator
+    is_own = guide_of(estimator) is estimator
     if len(here) != len(prepared.observations) or not is_own:
         moved = session.at_offset(tuple(prepared.observations.regressors), found.offset_s)
         if moved is None:
@@ -118,7 +118,7 @@ def with_offset(fit: Fit, offset_s: float | None) -> Fit:
     return replace(fit, parameters=replace(fit.parameters, time_offset_s=offset_s))
 
 
-def _guide(estimator: Estimator) -> Estimator:
+def guide_of(estimator: Estimator) -> Estimator:
     """Return the method itself, or its sister that takes a clock where it does not."""
     return estimator if estimator.takes_regressors else ESTIMATORS["vector" if estimator.is_vector else "scalar"]
 
@@ -182,7 +182,7 @@ def coarse_clock(movable: MovableObservations, observations: Observations) -> Tr
 
 
 def _searched(movable: MovableObservations, prepared: Prepared, settings: FitSettings, start_s: float) -> ClockFit:
-    guide = _guide(prepared.estimator)
+    guide = guide_of(prepared.estimator)
     has_drift = prepared.options.time_drift
     return fit_with_clock(guide, movable.at, prepared.observations, settings, has_drift=has_drift, start_s=start_s)
 

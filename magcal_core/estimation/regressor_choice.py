@@ -201,8 +201,9 @@ class _Settling:
             return False
         columns = _columns(self.offered, (*taken, *more))
         before, after = (index_beside(columns, fit, names) for names in (tuple(taken), (*taken, *more)))
-        # A response is half a change of scale: what it leaves must be good by itself.
-        is_kept = after >= INDEX_KEPT * before or (set(more) <= set(RESPONSES) and after >= WEAK_BELOW)
+        # A response is half a change of scale, a temperature half a wave of the orbit: what either leaves may be far
+        # less than what there was, and be good by itself. The evidence is what keeps other columns out.
+        is_kept = after >= min(INDEX_KEPT * before, WEAK_BELOW)
         return after >= LEAST_INDEX and is_kept
 
 

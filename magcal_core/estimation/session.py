@@ -100,18 +100,25 @@ class LockedSession:
         return made
 
     def terms(
-        self, observations: Observations, fit: Fit, *, has_clock: bool, known: Moments | None = None
+        self,
+        observations: Observations,
+        fit: Fit,
+        *,
+        has_clock: bool,
+        stays: bool = False,
+        known: Moments | None = None,
     ) -> LockedTerms | None:
         """Return the estimate with locked errors considered; None where there is nothing that they are locked to.
 
         ``has_clock``: the clock is one unknown more, and ``observations`` have the fall of the reference by it.
-        ``known``: the moments of the fit, where they have been taken already.
+        ``stays``: the estimate does not move, only its errors are asked for; ``known``: the moments of the fit,
+        where they have been taken already.
         """
         columns = self.columns(observations, fit)
         if columns is None:
             return None
         kind: Kind = "clock" if has_clock else "fit"
-        return locked_terms(observations, fit, columns, covered_s(observations.t_s), kind, known=known)
+        return locked_terms(observations, fit, columns, covered_s(observations.t_s), kind, never=stays, known=known)
 
     def thinned(self) -> tuple[LockedSession, slice]:
         """Return the session with at most some `ENOUGH` of its samples, evenly spaced, and which of them these are."""

@@ -29,7 +29,13 @@ BRO4_COLUMNS = {"time": "ts", "bx": "extmag_0", "by": "extmag_1", "bz": "extmag_
 BRO4_REFERENCE = {f"ref_eci_{axis}": f"ephem_mageci_{i}" for i, axis in enumerate("xyz")}
 
 
-PLAIN = {"robust": "none", "noise_model": "none", "time_offset": "none"}
+PLAIN = {
+    "robust": "none",
+    "noise_model": "none",
+    "time_offset": "none",
+    "locked_terms": "none",
+    "bias_steps": "none",
+}
 """The plain fit, to the rows as they came: that of published figures."""
 
 
@@ -131,6 +137,7 @@ def test_a_reference_in_a_turned_frame_gives_the_full_matrix(nominal):
     assert (straight.extras["parameters_of"], got.extras["parameters_of"]) == ("lower", "full")
     assert got.verdict.grade == "accept"
     assert [one for one in got.warnings if one.startswith("misaligned")]
+    assert got.extras["bias_steps"]["state"] == "not_searched", "what turns is no step of nine parameters' bias"
     np.testing.assert_allclose(got.matrix, straight.matrix @ rotation, atol=1e-3)
     np.testing.assert_allclose(got.parameters.scale, straight.parameters.scale, atol=1e-3)
     errors = np.array(got.extras["matrix_standard_errors"])
@@ -236,11 +243,24 @@ class TestBro4:
 
     @pytest.mark.parametrize("method", ["scalar", "scalar-hooke-jeeves"])
     def test_stale_tle_with_its_offset_estimated(self, bare, tle, on_board, method):
-        got = calibrate(bare, tle, max_orbit_age_days=60.0, method=method, robust="none")
+        options = {**PLAIN, "time_offset": "estimate"}
+        got = calibrate(bare, tle, max_orbit_age_days=60.0, method=method, **options)
         assert got.parameters.time_offset_s == pytest.approx(31, abs=1)
         assert got.after.rms_nt <= 195
         assert np.abs(got.parameters.bias_nt - on_board.parameters.bias_nt).max() <= 50
         assert np.shape(got.covariance) == (10, 10)
+
+    @pytest.mark.parametrize("method", ["scalar", "scalar-hooke-jeeves"])
+    def test_beside_locked_errors_the_offset_of_a_stale_tle_agrees_within_its_interval(
+        self, bare, tle, on_board, method
+    ):
+        """The plain fit's 31 s, and the bias that the reference on board gives."""
+        got = calibrate(bare, tle, max_orbit_age_days=60.0, method=method, robust="none")
+        assert np.shape(got.covariance) == (10, 10)
+        assert got.parameters.time_offset_s == pytest.approx(31.6, abs=1.96 * got.standard_errors.time_offset_s)
+        assert got.standard_errors.time_offset_s < 5.0
+        apart = np.abs(got.parameters.bias_nt - on_board.parameters.bias_nt)
+        assert np.all(apart < 1.96 * np.hypot(got.standard_errors.bias_nt, on_board.standard_errors.bias_nt))
 
 
 class TestPartOfTheAttitude:
@@ -393,32 +413,53 @@ class TestTimeOffset:
             calibrate(nominal, time_offset="estimate")
 
     def test_an_offset_that_a_regressor_explains_is_not_applied(self, orbit):
-        """A current that moves axis 1 and 3 like a late clock: significant without its column, not beside it."""
+        """A current that moves axis 1 and 3 like a late clock: significant without its column, not beside it.
+
+        Beside errors locked to the orbit it is not significant either way: the plain clock is what it deceives.
+        """
         made = self.made(orbit, 0.0, days=5.0, seed=0, duration_s=6900.0)
         size_nt, axis = np.linalg.norm(made.b_base_nt, axis=1), np.array([0.6, 0.0, 0.8])
         current = np.gradient(size_nt) / 10.0 * (made.b_base_nt @ axis) / size_nt
         read = current + 0.3 * np.random.default_rng(0).normal(size=len(current))
         h_nt = made.samples.h_nt + 4.0 * current[:, None] * axis
         samples = replace(made.samples, h_nt=h_nt, housekeeping={"current": read})
-        plain = calibrate(samples, [orbit])
+        plain = calibrate(samples, [orbit], locked_terms="none")
         assert plain.parameters.time_offset_s == pytest.approx(1.16, abs=0.1)
-        got = calibrate(samples, [orbit], regressors="auto")
-        assert list(got.parameters.regressors) == ["current"]
-        assert not got.extras["time_offset"]["is_significant"]
-        assert got.parameters.time_offset_s is None
-        assert [w for w in got.warnings if w.startswith("time_offset_not_used")]
+        assert calibrate(samples, [orbit]).parameters.time_offset_s is None
+        for locked_terms in ("none", "auto"):
+            got = calibrate(samples, [orbit], regressors="auto", locked_terms=locked_terms)
+            assert list(got.parameters.regressors) == ["current"]
+            assert not got.extras["time_offset"]["is_significant"]
+            assert got.parameters.time_offset_s is None
+            assert [w for w in got.warnings if w.startswith("time_offset_not_used")]
 
     def test_an_offset_is_sought_again_beside_the_regressors(self, orbit):
-        """3 uT of a heater that switches hide two seconds; beside its current the offset is known to 0.2 s."""
-        samples = self.made(orbit, 2.0, days=5.0, seed=0, duration_s=6900.0).samples
+        """3 uT of a heater that switches hide two seconds; beside its current they show, with half the error.
+
+        They are told and not taken: after five days the orbit may be as far off along its track; six seconds are taken.
+        """
         rng = np.random.default_rng(1000)
-        current = 0.5 * (np.cumsum(rng.random(len(samples)) < 0.02) % 2) + 0.01 * rng.normal(size=len(samples))
-        h_nt = samples.h_nt + current[:, None] * [2400.0, -1600.0, 1800.0]
-        switched = replace(samples, h_nt=h_nt, housekeeping={"heater_a": current})
-        assert calibrate(switched, [orbit]).parameters.time_offset_s is None
-        got = calibrate(switched, [orbit], regressors="auto")
+        flown = {offset_s: self.made(orbit, offset_s, days=5.0, seed=0, duration_s=6900.0) for offset_s in (2.0, 6.0)}
+        count = len(flown[2.0].samples)
+        current = 0.5 * (np.cumsum(rng.random(count) < 0.02) % 2) + 0.01 * rng.normal(size=count)
+        moved_nt = current[:, None] * [2400.0, -1600.0, 1800.0]
+        switched = {
+            offset_s: replace(made.samples, h_nt=made.samples.h_nt + moved_nt, housekeeping={"heater_a": current})
+            for offset_s, made in flown.items()
+        }
+        hidden = calibrate(switched[2.0], [orbit])
+        assert hidden.parameters.time_offset_s is None
+        assert not hidden.extras["time_offset"]["is_significant"]
+        got = calibrate(switched[2.0], [orbit], regressors="auto")
         assert list(got.parameters.regressors) == ["heater_a"]
-        assert got.parameters.time_offset_s == pytest.approx(2.0, abs=4 * got.standard_errors.time_offset_s)
+        clock = got.extras["time_offset"]
+        assert clock["is_significant"]
+        assert not clock["is_taken"]
+        assert clock["offset_s"] == pytest.approx(2.0, abs=4 * clock["standard_error_s"])
+        assert clock["standard_error_s"] < 0.6 * hidden.extras["time_offset"]["standard_error_s"]
+        taken = calibrate(switched[6.0], [orbit], regressors="auto")
+        assert list(taken.parameters.regressors) == ["heater_a"]
+        assert taken.parameters.time_offset_s == pytest.approx(6.0, abs=4 * taken.standard_errors.time_offset_s)
 
     @pytest.mark.parametrize("method", ["scalar", "vector"])
     def test_some_seconds_are_told_from_nothing(self, orbit, method):

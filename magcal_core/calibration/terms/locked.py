@@ -163,6 +163,7 @@ def locked_terms(
     kind: Kind = "fit",
     *,
     always: bool = False,
+    never: bool = False,
     known: Moments | None = None,
 ) -> LockedTerms:
     """Return the estimate with errors locked to ``columns`` considered.
@@ -178,6 +179,8 @@ def locked_terms(
         plain estimate. ``full``: all nine elements of T are unknown, and the plain estimate is where they lead.
     always : bool
         Move in one step whether unseen blocks bear it out or not, over a coarse grid of sizes: for a test.
+    never : bool
+        Stay at the plain estimate whatever unseen blocks say: its errors alone are asked for.
     known : Moments, optional
         The moments of the fit, where they have been taken already.
     """
@@ -189,7 +192,7 @@ def locked_terms(
     own_step = about.reduced.offset if kind == "fit" else np.zeros_like(about.reduced.offset)
     first = about.reduced.offset - own_step
     base = first if kind == "full" else np.zeros_like(first)
-    ratios = np.ones(1) if always else _held_out(about, folds, observations)
+    ratios = np.ones(1) if always or never else _held_out(about, folds, observations)
     moved = always or bool(np.all(ratios < 1.0) and np.median(ratios) < BETTER)
     end = first + about.mixture.step if moved else base
     for _ in range(_ROUNDS - 1 if moved and not always else 0):

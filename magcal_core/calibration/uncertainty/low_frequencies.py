@@ -27,8 +27,9 @@ from typing import Final
 import numpy as np
 
 from magcal_core.arrays import Floats
+from magcal_core.errors import NotObservableError
 from magcal_core.numerics.blocks import BlockScores
-from magcal_core.numerics.linear_algebra import scaled_inverse
+from magcal_core.numerics.linear_algebra import is_positive_definite, scaled_inverse
 
 MEMORIES_S: Final = tuple(120.0 * 2.0**i for i in range(12))
 """Correlation times that are tried, s: 2 minutes to 2.8 days."""
@@ -59,8 +60,17 @@ def low_frequency_variances(scores: BlockScores, duration_s: float) -> tuple[Flo
     """Return the variance of each reported parameter, shape (p,), and the number of frequencies it was taken from.
 
     ``duration_s``: time that the blocks cover, s.
+
+    Raises
+    ------
+    NotObservableError
+        The normal matrix is not positive definite: no parameter has a variance.
     """
     sums, normals = _merged(scores)
+    if not is_positive_definite(normals.sum(axis=0)):
+        raise NotObservableError(
+            "the samples do not determine the parameters: their normal matrix is not positive definite"
+        )
     m = len(sums)
     count = min(m - 1, _FREQUENCIES)
     cosines, shapes, sizes, logarithms = _processes(m, count, _memories(duration_s, m))
