@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import magcal_core as mc
-from magcal_core.bias_in_session import _weakened
+from magcal_core.bias_in_session import _weakened, steps_of_session
+from magcal_core.calibration.observability.information import WEAK_BELOW
 from magcal_core.calibration.reasons import Reason, Verdict
 from magcal_core.calibration.refit.moments import FitMoments
 from magcal_core.calibration.result import Calibration
@@ -208,8 +209,11 @@ def test_ninety_six_blocks_take_less_than_three_seconds():
 def test_nothing_is_looked_for_where_the_data_hardly_determine_the_fit():
     short = session(460, hours=0.5)
     found = mc.calibrate(short, method="scalar")
-    if any(reason.code in {"weakly_observable", "not_observable"} for reason in found.verdict.reasons):
-        assert found.to_dict()["bias_steps"]["state"] == "not_searched"
+    assert (found.to_dict()["bias_steps"]["state"] == "searched") == (found.observability.index >= WEAK_BELOW)
+    weak = replace(found.observability, index=0.99 * WEAK_BELOW)
+    moments = moments_of(session(460, step_nt(session(460), 0.4, CHANGE)))
+    assert len(steps_of_session(moments, replace(weak, index=WEAK_BELOW)).items) == 1
+    assert steps_of_session(moments, weak).state == "not_searched"
     closed = mc.calibrate(session(460), method="vector-closed-form").to_dict()
     assert (closed["bias_steps"]["state"], closed["bias_steps"]["items"]) == ("not_searched", [])
 
