@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
 from magcal_core.calibration.estimators.registry import ESTIMATORS
+from magcal_core.calibration.observability.information import WEAK_BELOW, Observability
 from magcal_core.calibration.reasons import Reason, Verdict
 from magcal_core.calibration.refit.moments import METHODS as MOMENTS_METHODS
 from magcal_core.calibration.refit.moments import FitMoments
@@ -21,9 +21,6 @@ from magcal_core.orbit import Orbit
 from magcal_core.orbit.messages.elements import elements_from_state
 from magcal_core.reference.referenced_samples import in_time_order
 from magcal_core.samples import SampleFlag, Samples
-
-_HARDLY_DETERMINED: Final = frozenset({"field_uncertain", "not_observable"})
-"""Reasons of a verdict where a step cannot be told from what the field does not show."""
 
 Again = Callable[[Samples, CalibrationOptions], Calibration]
 
@@ -67,7 +64,7 @@ def with_moving_bias(
     if options.bias_steps != "none":
         # Moments are of nine parameters: what twelve explain beside them would look like steps.
         is_full = calibration.extras.get("parameters_of") == "full"
-        steps = steps_of_session(None if is_full else moments, calibration.verdict)
+        steps = steps_of_session(None if is_full else moments, calibration.observability)
         if options.bias_steps == "fit" and steps.items and moments is not None:
             fitted = again(*_with_steps_fitted(session, moments, steps))
             calibration, steps = replace(fitted, options=options.to_dict()), replace(steps, is_fitted=True)
@@ -81,9 +78,12 @@ def with_moving_bias(
     return calibration
 
 
-def steps_of_session(moments: FitMoments | None, verdict: Verdict) -> BiasSteps:
-    """Return the steps of the bias that a fit shows; none are looked for where the data hardly determine it."""
-    if moments is None or any(reason.code in _HARDLY_DETERMINED for reason in verdict.reasons):
+def steps_of_session(moments: FitMoments | None, observability: Observability) -> BiasSteps:
+    """Return the steps of the bias that a fit shows; none are looked for where the data hardly determine it.
+
+    The index says so, not the verdict: a step makes the field uncertain, which is no reason not to look for it.
+    """
+    if moments is None or not observability.index >= WEAK_BELOW:
         return NOT_SEARCHED
     return bias_steps(moments)
 

@@ -214,6 +214,8 @@ def index_beside(observations: Observations, fit: Fit, names: Sequence[str]) -> 
     -----
     Smallest singular value per root n of [u_i u_j |x|/B, u_i], u the direction of the corrected reading x, over
     sigma / B: as `observability.index`, after what the terms' own coefficients explain of it has been taken away.
+    A column counts from its mean: where its zero is, in kelvin or in degrees Celsius, changes nothing of the field that
+    a calibration corrects.
     """
     few = slice(None, None, max(1, len(observations) // _MOST))
     some, at = observations.take(few), fit.parameters
@@ -224,13 +226,18 @@ def index_beside(observations: Observations, fit: Fit, names: Sequence[str]) -> 
     squares = [u[:, i] * u[:, j] * size / field_nt * (1.0 if i == j else np.sqrt(2.0)) for i, j in pairs]
     design, root = np.column_stack([*squares, u]), np.sqrt(fit.weights[few] > 0)[:, None]
     lower = inverse_lower(matrix_of_parameters(at.scale, np.deg2rad(at.nonorthogonality_deg)))
-    terms = [(u @ lower) * some.regressors[name].reshape(len(some), -1) for name in names]
+    terms = [(u @ lower) * _from_mean(some.regressors[name]).reshape(len(some), -1) for name in names]
     design = root * design
     if terms:
         basis = np.linalg.qr(root * np.column_stack([one / np.abs(one).max() for one in terms]))[0]
         design -= basis @ (basis.T @ design)
     noise = max(scale_of(fit.residuals_nt) / field_nt, SIGMA_FLOOR)
     return float(np.linalg.svd(design, compute_uv=False)[-1] / np.sqrt(max(float(root.sum()), 1.0)) / noise)
+
+
+def _from_mean(column: Floats) -> Floats:
+    """Return a column of one value a sample less its mean; a response, one a component, keeps its own zero."""
+    return column - column.mean() if column.ndim == 1 else column
 
 
 def _falls(before: Floats, after: Floats, gain: float) -> bool:

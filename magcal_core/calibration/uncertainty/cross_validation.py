@@ -49,16 +49,23 @@ def held_out_residuals_nt(
     Notes
     -----
     But for short sessions, the fits to the other blocks are one step away. They are refitted to the samples, from the
-    farthest one on, until one leaves its block the residual that the step left it.
+    farthest one on, until one leaves its block the residual that the step left it. All are refitted where the fit has
+    no covariance: how far a step is, in standard errors, is not known then.
     """
     folds = folds_of(observations.t_s)
     unseen = partial(_unseen_nt, estimator, observations, settings, near)
     try:
-        if len(observations) < _MANY:
+        if len(observations) < _MANY or not _has_errors(near):
             return np.concatenate([unseen(fold) for fold in folds])
         return np.concatenate(_stepped_nt(estimator, observations, near, folds, unseen))
     except EstimationError:
         return None
+
+
+def _has_errors(near: Fit) -> bool:
+    """Return whether every parameter has a variance; rounding leaves negative ones where the data determine nothing."""
+    variances = np.diag(near.covariance)
+    return bool(np.isfinite(variances).all() and (variances > 0.0).all())
 
 
 def _unseen_nt(

@@ -17,7 +17,8 @@ from magcal_core.sensor.model import SensorModel
 from magcal_core.telemetry import read_samples, write_samples
 
 PLAIN = [
-    "--robust", "none", "--noise-model", "none", "--time-offset", "none", "--locked-terms", "none", "--bias-steps", "none"
+    "--robust", "none", "--noise-model", "none", "--time-offset", "none",
+    "--locked-terms", "none", "--bias-steps", "none",
 ]  # fmt: skip
 BRO4_READING = {"time": "ts", "bx": "extmag_0", "by": "extmag_1", "bz": "extmag_2"}
 BRO4_REFERENCE = {f"ref_eci_{axis}": f"ephem_mageci_{i}" for i, axis in enumerate("xyz")}

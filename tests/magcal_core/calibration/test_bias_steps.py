@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import magcal_core as mc
-from magcal_core.bias_in_session import _weakened
+from magcal_core.bias_in_session import _weakened, steps_of_session
+from magcal_core.calibration.observability.information import WEAK_BELOW
 from magcal_core.calibration.reasons import Reason, Verdict
 from magcal_core.calibration.refit.moments import FitMoments
 from magcal_core.calibration.result import Calibration
@@ -64,12 +65,13 @@ def test_a_worked_case_names_the_steps_that_there_are(cases, name):
 def test_a_step_weakens_the_verdict_and_its_fit_has_the_bias_after_it(cases):
     case, samples, named = cases["session-1-step"]
     assert named.verdict.grade == "weak"
-    assert [reason.code for reason in named.verdict.reasons] == ["bias_step"]
-    assert named.verdict.grades == ("weak",)
+    # One bias for both sides is known to 2.4 % of the field, which alone makes the verdict weak.
+    assert [reason.code for reason in named.verdict.reasons] == ["field_uncertain", "bias_step"]
+    assert named.verdict.grades == ("weak", "weak")
     fitted = mc.calibrate(samples, method="scalar", bias_steps="fit")
     record = fitted.to_dict()
     assert record["bias_steps"]["is_fitted"]
-    assert "bias_step" not in {reason.code for reason in fitted.verdict.reasons}
+    assert [reason.code for reason in fitted.verdict.reasons] == ["observable"]
     away = fitted.parameters.bias_nt - case["truth"]["bias_nt_after_last_step"]
     assert np.all(np.abs(away) < 3.0 * fitted.standard_errors.bias_nt)
     assert fitted.standard_errors.bias_nt.max() < 0.5 * named.standard_errors.bias_nt.max()
@@ -208,8 +210,11 @@ def test_ninety_six_blocks_take_less_than_three_seconds():
 def test_nothing_is_looked_for_where_the_data_hardly_determine_the_fit():
     short = session(460, hours=0.5)
     found = mc.calibrate(short, method="scalar")
-    if any(reason.code in {"weakly_observable", "not_observable"} for reason in found.verdict.reasons):
-        assert found.to_dict()["bias_steps"]["state"] == "not_searched"
+    assert (found.to_dict()["bias_steps"]["state"] == "searched") == (found.observability.index >= WEAK_BELOW)
+    weak = replace(found.observability, index=0.99 * WEAK_BELOW)
+    moments = moments_of(session(460, step_nt(session(460), 0.4, CHANGE)))
+    assert len(steps_of_session(moments, replace(weak, index=WEAK_BELOW)).items) == 1
+    assert steps_of_session(moments, weak).state == "not_searched"
     closed = mc.calibrate(session(460), method="vector-closed-form").to_dict()
     assert (closed["bias_steps"]["state"], closed["bias_steps"]["items"]) == ("not_searched", [])
 

@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from magcal_core.calibration.field_error import FieldError
 from magcal_core.calibration.residuals import ResidualStatistics
 from magcal_core.calibration.sessions.consistency import ParameterDifference
 from magcal_core.calibration.verdict.agreement import Agreement
-from magcal_core.calibration.verdict.verdict import Evidence, judge
+from magcal_core.calibration.verdict.verdict import Evidence, Turn, judge
 from magcal_core.sensor.parameters import Parameters
 
 PARAMETERS = Parameters(np.array([2900.0, -1200.0, -1900.0]), np.array([1.03, 1.01, 1.04]), np.array([-4.0, -1.5, 7.0]))
@@ -19,6 +20,7 @@ ERRORS = Parameters(np.full(3, 10.0), np.full(3, 3e-4), np.full(3, 0.02))
 RESIDUAL = ResidualStatistics(0.0, 80.0, 80.0, 300.0, 0.9)
 GOOD = Evidence(
     index=40.0,
+    field_error=FieldError(0.004, np.array([1.0, 0.0, 0.0]), "bias"),
     parameters=PARAMETERS,
     standard_errors=ERRORS,
     mean_field_nt=35e3,
@@ -27,6 +29,7 @@ GOOD = Evidence(
     after=RESIDUAL,
     cross_validated_rms_nt=82.0,
     rejected_share=0.0,
+    without_reading_share=0.0,
     is_converged=True,
     is_vector=False,
     is_plain=True,
@@ -47,12 +50,27 @@ def broken(group: str, value: float) -> Parameters:
 
 def test_the_evidence_is_good_as_it_stands() -> None:
     assert judge(GOOD).grade == "accept"
-    assert {"index", "mean_field_nt", "cross_validated_rms_nt", "rejected_share", "misaligned_deg"} <= set(FIGURES)
+    assert {"index", "mean_field_nt", "cross_validated_rms_nt", "rejected_share", "without_reading_share"} <= set(
+        FIGURES
+    )
 
 
 @pytest.mark.parametrize("name", FIGURES)
 def test_a_figure_that_is_no_number_refuses(name: str) -> None:
     assert judge(replace(GOOD, **{name: float("nan")})).grade == "refuse"
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_an_error_of_the_field_that_is_not_finite_refuses(value: float) -> None:
+    assert judge(replace(GOOD, field_error=replace(GOOD.field_error, share=value))).grade == "refuse"
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+@pytest.mark.parametrize("name", ["angle_deg", "error_deg"])
+def test_a_turn_that_is_not_finite_refuses(name: str, value: float) -> None:
+    known = Turn(1.0, 0.1)
+    assert judge(replace(GOOD, turn=known)).grade == "accept"
+    assert judge(replace(GOOD, turn=replace(known, **{name: value}))).grade == "refuse"
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])

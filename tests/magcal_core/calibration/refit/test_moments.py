@@ -141,7 +141,9 @@ def test_one_step_of_the_clock_goes_nearly_all_of_the_way_of_half_a_minute(metho
     _, orbit = mission()
     disturbed = Disturbances(20.0, time_offset_s=30.0)
     late = simulate(orbit, SENSOR, START, 14000.0, 10.0, rate_deg_s=0.5, disturbances=disturbed, seed=2).samples
-    kept = calibrate(late, [orbit], method=method, time_offset="none", locked_terms="none", with_moments=True).moments
+    # Any but the plain fit takes such a clock, or refuses data that show it beyond doubt.
+    plain = {"time_offset": "none", "locked_terms": "none", "robust": "none", "noise_model": "none"}
+    kept = calibrate(late, [orbit], method=method, with_moments=True, **plain).moments
     assert kept is not None
     found = refit(kept, RefitOptions(time_offset=True)).time_offset
     assert found is not None
