@@ -70,7 +70,8 @@ def with_cause(judged: Judged, diagnosis: Diagnosis | None) -> Judged:
         return judged
     verdict = judged.judgement.verdict
     reason = Reason("wrong_input_suspected", f"{fault.code}: {fault.text}")
-    return replace(judged, judgement=replace(judged.judgement, verdict=Verdict("refuse", (reason, *verdict.reasons))))
+    verdict_with_cause = Verdict("refuse", (reason, *verdict.reasons), ("refuse", *verdict.grades))
+    return replace(judged, judgement=replace(judged.judgement, verdict=verdict_with_cause))
 
 
 def refused(error: MagcalError, referenced: Referenced, candidates: Sequence[Orbit]) -> MagcalError:
