@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -14,14 +15,20 @@ from magcal_core.calibration.diagnosis.wrong_input.suspicions import suspicions
 from magcal_core.calibration.reasons import Reason, Verdict
 from magcal_core.data_quality import DataQuality
 from magcal_core.errors import EstimationError, FrameError, MagcalError, NotObservableError, WrongInputError
+from magcal_core.estimation.clock import NEAR_S
 from magcal_core.estimation.estimate import Estimate
 from magcal_core.estimation.judging import Judged
 from magcal_core.orbit import Orbit
 from magcal_core.reference.referenced_samples import Referenced
 
+LONG_OFFSET_S: Final = 60.0
+"""Offset, s, from which one that was taken unasked is held against other clocks: a longer one is more than a drift."""
+
 
 def diagnosed(estimate: Estimate, judged: Judged, candidates: Sequence[Orbit]) -> Diagnosis | None:
     """Return the diagnosis of an estimate that is refused or leaves more than noise; None of one that is sound.
+
+    An estimate at an offset of a minute or more that was taken unasked is not sound where another clock goes first.
 
     Raises
     ------
@@ -32,13 +39,28 @@ def diagnosed(estimate: Estimate, judged: Judged, candidates: Sequence[Orbit]) -
     use = estimate.loss_use
     is_sound = use.scale_nt < WORTH_A_LOOK * float(np.median(estimate.observations.b_nt))
     if is_sound and judged.judgement.verdict.grade != "refuse":
-        return None
+        return _other_clock(estimate, candidates)
     found = _searched(estimate.prepared.referenced, candidates)
     if found.fault is not None and found.is_certain and not estimate.options.is_plain:
         error = WrongInputError(f"{found.fault.code}: {found.fault.text}")
         error.diagnosis, error.data_quality = found.to_dict(), judged.quality.to_dict()
         raise error
     return found
+
+
+def _other_clock(estimate: Estimate, candidates: Sequence[Orbit]) -> Diagnosis | None:
+    """Return the diagnosis where a long offset was taken unasked and it names another clock; None where it does not.
+
+    A satellite that comes back to nearly the same field, as after a turn of its orbit, hides hours behind minutes.
+    """
+    clock = estimate.clock
+    if clock is None or estimate.options.time_offset != "auto" or abs(clock.offset_s) < LONG_OFFSET_S:
+        return None
+    found = _searched(estimate.prepared.referenced, candidates)
+    fault = found.fault
+    if fault is None or fault.code != "clock" or not isinstance(fault.value, float):
+        return None
+    return found if abs(fault.value - clock.offset_s) > NEAR_S else None
 
 
 def with_cause(judged: Judged, diagnosis: Diagnosis | None) -> Judged:
@@ -48,7 +70,8 @@ def with_cause(judged: Judged, diagnosis: Diagnosis | None) -> Judged:
         return judged
     verdict = judged.judgement.verdict
     reason = Reason("wrong_input_suspected", f"{fault.code}: {fault.text}")
-    return replace(judged, judgement=replace(judged.judgement, verdict=Verdict("refuse", (reason, *verdict.reasons))))
+    verdict_with_cause = Verdict("refuse", (reason, *verdict.reasons), ("refuse", *verdict.grades))
+    return replace(judged, judgement=replace(judged.judgement, verdict=verdict_with_cause))
 
 
 def refused(error: MagcalError, referenced: Referenced, candidates: Sequence[Orbit]) -> MagcalError:

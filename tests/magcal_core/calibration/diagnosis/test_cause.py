@@ -72,6 +72,13 @@ def test_a_clock_that_is_off_is_found_to_seconds(flown, seconds):
         assert abs(found["value"] + seconds) < 5.0 or f"{-seconds:.0f}" in str(found["alternatives"])
 
 
+def test_an_offset_of_a_minute_that_is_taken_unasked_and_right_needs_no_cause(flown):
+    got = calibrate(later(flown[1].samples, 80.0), [flown[1].orbit])
+    assert got.extras["diagnosis"] is None
+    assert got.verdict.grade == "accept"
+    assert got.extras["time_offset"]["offset_s"] == pytest.approx(-80.0, abs=5.0)
+
+
 def test_the_error_names_the_cause_first_and_says_not_observable_no_more(flown):
     with pytest.raises(WrongInputError, match=r"^clock: -?\d+ s, local time taken for UTC\?") as caught:
         calibrate(later(flown[0].samples, 7200.0), [flown[0].orbit])
