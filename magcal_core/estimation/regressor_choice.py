@@ -38,9 +38,10 @@ LAG_GAIN: Final = 0.01
 TERM_GAIN: Final = 0.02
 """Share by which a response, or the rest of a triple, must lower it."""
 INDEX_KEPT: Final = 0.5
+"""Share of the observability index that must be left once a term is projected out, where that is not good by itself."""
 LEAST_INDEX: Final = 3.0
 _MOST: Final = 3000
-"""Share of the observability index that must be left once a term is projected out."""
+"""Samples that the index is taken from, at most about."""
 
 
 def with_regressors(estimate: Estimate) -> Estimate:
