@@ -27,6 +27,7 @@ from typing import Final
 import numpy as np
 
 from magcal_core.arrays import Floats
+from magcal_core.errors import NotObservableError
 from magcal_core.numerics.blocks import BlockScores
 from magcal_core.numerics.linear_algebra import scaled_inverse
 
@@ -59,6 +60,11 @@ def low_frequency_variances(scores: BlockScores, duration_s: float) -> tuple[Flo
     """Return the variance of each reported parameter, shape (p,), and the number of frequencies it was taken from.
 
     ``duration_s``: time that the blocks cover, s.
+
+    Raises
+    ------
+    NotObservableError
+        The normal matrix is so near to singular that variances come out negative.
     """
     sums, normals = _merged(scores)
     m = len(sums)
@@ -70,6 +76,8 @@ def low_frequency_variances(scores: BlockScores, duration_s: float) -> tuple[Flo
     power = (cosines.T @ sums @ to_parameters.T) ** 2
     excess = power / _white(cosines, normals, inverse, to_parameters)
     rest = (1.0 / shapes) @ excess
+    if (rest < 0.0).any():
+        raise NotObservableError("the samples do not determine the parameters: rounding makes their variances negative")
     likelihood = -0.5 * logarithms - 0.5 * count * np.log(np.maximum(rest, 1e-300))
     weights = _weights(np.exp(likelihood - likelihood.max(axis=0)))
     factor = _spread(weights, np.sqrt(rest * sizes[:, None] / count)) ** 2
