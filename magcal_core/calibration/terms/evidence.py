@@ -39,6 +39,21 @@ _RIDGE: Final = 1e-10
 """Share of a column's own square below which what the parameters leave of it is rounding."""
 
 
+def require_positive_definite(normal: Floats) -> None:
+    """Refuse a normal matrix about which nothing has a covariance.
+
+    Raises
+    ------
+    NotObservableError
+        It is not positive definite.
+    """
+    if not is_positive_definite(normal):
+        raise NotObservableError(
+            "the samples do not determine the parameters: their normal matrix is not positive definite",
+            PARAMETER_NAMES,
+        )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Reduced:
     """Moments with the parameters eliminated.
@@ -74,11 +89,7 @@ class Reduced:
             J'J is not positive definite: about such an estimate nothing has a covariance.
         """
         q = known
-        if not is_positive_definite(total[:q, :q]):
-            raise NotObservableError(
-                "the samples do not determine the parameters: their normal matrix is not positive definite",
-                PARAMETER_NAMES,
-            )
+        require_positive_definite(total[:q, :q])
         inverse = scaled_inverse(total[:q, :q])
         found = inverse @ total[:q, q:]
         rest = total[q:, q:] - total[:q, q:].T @ found

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.contract import Fit
 from magcal_core.calibration.estimators.linear_rows import Moments, Rows, rows_of
-from magcal_core.calibration.terms.evidence import SIZES, Mixture, Reduced, mixture_of
+from magcal_core.calibration.terms.evidence import SIZES, Mixture, Reduced, mixture_of, require_positive_definite
 from magcal_core.calibration.terms.locked_columns import LockedColumns
 from magcal_core.calibration.uncertainty.cross_validation import folds_of
 from magcal_core.calibration.uncertainty.honest_covariance import HonestCovariance, student_95, with_blocks
@@ -278,6 +278,7 @@ class _Linear:
         found = np.linalg.solve(normals.sum(axis=0) + np.diag(prior), merged.sum(axis=0)[take, -1])
         scores = merged[:, take, -1] - normals @ found - prior * found / b
         softened = normals / softening_of(self.rows, self.moments, fit) + np.diag(prior) / b
+        require_positive_definite(softened.sum(axis=0))
         to_parameters = np.zeros((len(own), len(take)))
         to_parameters[:, :known] = own
         made = BlockScores(scores, softened, blocks, to_parameters)

@@ -64,7 +64,7 @@ def low_frequency_variances(scores: BlockScores, duration_s: float) -> tuple[Flo
     Raises
     ------
     NotObservableError
-        The normal matrix is not positive definite: no parameter has a variance.
+        The normal matrix is not positive definite, or so near to singular that variances come out negative.
     """
     sums, normals = _merged(scores)
     if not is_positive_definite(normals.sum(axis=0)):
@@ -80,6 +80,8 @@ def low_frequency_variances(scores: BlockScores, duration_s: float) -> tuple[Flo
     power = (cosines.T @ sums @ to_parameters.T) ** 2
     excess = power / _white(cosines, normals, inverse, to_parameters)
     rest = (1.0 / shapes) @ excess
+    if (rest < 0.0).any():
+        raise NotObservableError("the samples do not determine the parameters: rounding makes their variances negative")
     likelihood = -0.5 * logarithms - 0.5 * count * np.log(np.maximum(rest, 1e-300))
     weights = _weights(np.exp(likelihood - likelihood.max(axis=0)))
     factor = _spread(weights, np.sqrt(rest * sizes[:, None] / count)) ** 2
