@@ -238,11 +238,18 @@ def test_every_fault_of_the_telemetry_gets_a_line(nominal: Path, tmp_path: Path)
     assert [fault.strip().split(":")[0] for fault in faults] == ["line 4, column bx", "line 6"]
 
 
+PLAIN = (
+    *("--method", "scalar", "--robust", "none", "--noise-model", "none", "--time-offset", "none"),
+    *("--locked-terms", "none", "--bias-steps", "none"),
+)
+"""The plain fit, which the figures of an independent one are of."""
+
+
 @pytest.mark.real_data
 def test_bro4_against_its_on_board_reference(bro4_dir: Path) -> None:
     """181.5 nT from 1367 nT, as an independent fit of the same 2371 samples has it."""
     columns = json.dumps(BRO4_READING | BRO4_REFERENCE)
-    record = parameter_set(bro4_dir / "external.csv", "--columns", columns, "--unit", "mG", "--method", "scalar")
+    record = parameter_set(bro4_dir / "external.csv", "--columns", columns, "--unit", "mG", *PLAIN)
     statistics = record["statistics"]
     assert isinstance(statistics, dict)
     assert statistics["samples"] == 2371
@@ -255,7 +262,7 @@ def test_bro4_with_a_tle_33_days_newer_warns_of_its_age(bro4_dir: Path) -> None:
     """423 nT: what a clock error of half a minute, which nobody estimates here, leaves."""
     reading = [bro4_dir / "external.csv", "--columns", json.dumps(BRO4_READING), "--unit", "mG"]
     tle = ["--tle", bro4_dir / "tle.txt"]
-    record = parameter_set(*reading, *tle, "--max-orbit-age-days", 60, "--time-offset", "none")
+    record = parameter_set(*reading, *tle, "--max-orbit-age-days", 60, *PLAIN)
     statistics, warnings = record["statistics"], record["warnings"]
     assert isinstance(statistics, dict)
     assert isinstance(warnings, list)
