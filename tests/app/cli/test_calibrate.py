@@ -241,6 +241,13 @@ def test_every_fault_of_the_telemetry_gets_a_line(nominal: Path, tmp_path: Path)
     assert [fault.strip().split(":")[0] for fault in faults] == ["line 4, column bx", "line 6"]
 
 
+PLAIN = (
+    *("--method", "scalar", "--robust", "none", "--noise-model", "none", "--time-offset", "none"),
+    *("--locked-terms", "none", "--bias-steps", "none"),
+)
+"""The plain fit, which the figures of an independent one are of."""
+
+
 @pytest.mark.real_data
 def test_bro4_against_its_on_board_reference(bro4_dir: Path) -> None:
     """181.5 nT from 1367 nT, as an independent fit of the same 2371 samples has it."""
