@@ -122,6 +122,17 @@ REASONS: Final[Mapping[str, Plain]] = {
     "scale_far": Plain(
         "The readings are hardly in the unit that was said.", "give the unit, or the sensor's nT per count", UPLOAD
     ),
+    "field_uncertain": Plain(
+        "The corrected field is not known well enough in its worst direction.", UNCERTAIN, MORE
+    ),
+    "rows_without_reading": Plain(
+        "Half of the rows or more hold no reading, so what is left is a part of the session.",
+        "look at what was sent: zeros, fill values, a stuck sensor", UPLOAD,
+    ),
+    "frame": Plain(
+        "The reference is turned so far against the sensor that attitude or axes must be others than was said.",
+        "mend the axis map or the attitude", UPLOAD,
+    ),
     "large_residual": Plain(
         "After the correction, |B| still differs from the model by a large share of the field.",
         "look at the residual over time: outliers, currents, a wrong reference", _first(TUKEY, REGRESSORS),

@@ -9,15 +9,28 @@ import numpy as np
 from numba import njit
 
 from magcal_core.arrays import Floats
+from magcal_core.errors import NotObservableError
 
 LEAST_PIVOT: Final = 1e-11
 """Share of a column's square, beside the others, below which some fifty thousand roundings leave no sure sign."""
 
 
 def scaled_inverse(normal: Floats) -> Floats:
-    """Return the inverse of a normal matrix, taken with a unit diagonal so that units cost no digits."""
+    """Return the inverse of a normal matrix, taken with a unit diagonal so that units cost no digits.
+
+    Raises
+    ------
+    NotObservableError
+        The matrix is singular.
+    """
     size = np.sqrt(np.diag(normal))
-    return np.asarray(np.linalg.inv(normal / np.outer(size, size)) / np.outer(size, size))
+    try:
+        inverse = np.linalg.inv(normal / np.outer(size, size))
+    except np.linalg.LinAlgError as error:
+        raise NotObservableError(
+            "the samples do not determine the parameters: their normal matrix is singular"
+        ) from error
+    return np.asarray(inverse / np.outer(size, size))
 
 
 def is_positive_definite(normal: Floats) -> bool:

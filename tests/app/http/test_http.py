@@ -16,8 +16,8 @@ def root(service):
 def test_the_service_is_alive_and_ready(root):
     assert root.get("/healthz").json() == {"status": "ok"}
     ready = root.get("/readyz")
-    parts = ("status", "database", "store", "queue", "disk")
-    assert (ready.status_code, ready.json()) == (200, dict.fromkeys(parts, "ok") | {"stopped_sources": []})
+    parts = ("status", "database", "store", "queue", "disk", "sources")
+    assert (ready.status_code, ready.json()) == (200, dict.fromkeys(parts, "ok"))
 
 
 def test_prometheus_is_told_of_requests_and_of_the_queue(root):
