@@ -44,7 +44,7 @@ def add(service: Service, satellite: str, tle: str, norad_id: str) -> None:
         body = {"id": satellite, "name": satellite.title(), "norad_id": norad_id}
         client.post("/satellites", json=body).raise_for_status()
         client.post(f"/satellites/{satellite}/magnetometers", json={"id": "mgm-1", "unit": "nT"}).raise_for_status()
-        path = f"/satellites/{satellite}/orbits"
+        path = f"/satellites/{satellite}/orbits?force=true"
         client.post(path, content=tle, headers={"Content-Type": "text/plain"}).raise_for_status()
 
 
@@ -106,7 +106,7 @@ def test_a_failed_job_is_said_acknowledged_with_a_note_and_comes_back(
             time.sleep(0.2)
     page = desk.open("/")
     failed = entry(page, "Wader", "job_failed").first
-    expect(failed).to_contain_text("observability index")
+    expect(failed).to_contain_text("do not determine the parameters")
     failed.get_by_role("button", name="Acknowledge").click()
     dialog = page.get_by_role("dialog")
     dialog.get_by_label("Note").fill("The next pass is longer.")
