@@ -36,7 +36,10 @@ def constant_sensor(samples: Samples, h_nt: Floats, b_nt: Floats, duration_s: fl
     if not len(h_nt):
         return None
     field_nt = float(np.median(b_nt))
-    share = max(spread_of(column) for column in h_nt.T) / field_nt
+    size_nt = float(np.median(np.linalg.norm(h_nt, axis=1)))
+    # Readings in another unit are small beside the field and vary all the same: their own size is the measure.
+    measure_nt = size_nt if 0.0 < size_nt < field_nt / UNIT_RATIO else field_nt
+    share = max(spread_of(column) for column in h_nt.T) / measure_nt
     # In a short pass without motion any sensor is constant: that is a matter of motion.
     if share >= STILL_SHARE or (duration_s < SHORT_S and spread_of(b_nt) < STILL_SHARE * field_nt):
         return None
