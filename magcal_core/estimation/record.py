@@ -244,7 +244,8 @@ def _fit_warnings(estimate: Estimate) -> list[str]:
     trust = estimate.trust
     if trust is None or (trust.terms is None and trust.full is None):
         return list(estimate.fit.warnings)
-    found = [text for text in trust.plain.warnings if not text.startswith("misaligned")]
+    replaced = () if trust.plain.full_matrix is None else trust.plain.full_matrix.warnings
+    found = [text for text in trust.plain.warnings if text not in replaced]
     if trust.full is None:
         return found if trust.terms is None else [*found, *trust.terms.warnings]
     return [*found, trust.full.warning, *trust.full.terms.warnings]
