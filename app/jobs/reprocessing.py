@@ -21,6 +21,7 @@ from app.jobs.queue import Queue
 from app.jobs.quota import check_quota
 from app.jobs.schemas import ReprocessingBody
 from app.jobs.tables import Job, JobSession
+from app.records.calibration_options import as_asked
 from app.satellites.repository import SatelliteRepository, within_reach
 from app.satellites.tables import Magnetometer
 from app.sessions.tables import TelemetrySession
@@ -41,7 +42,7 @@ def submit_reprocessing(
     QuotaError
         With these, more than ``most_queued`` jobs of the caller's key would wait.
     """
-    options = CalibrationOptions.from_dict(body.options).to_dict()
+    options = as_asked(CalibrationOptions.from_dict(body.options))
     file = {} if body.field_file is None else {FIELD_FILE: body.field_file}
     check_field(session, options | file)
     chosen = _sessions(session, caller, body)
@@ -66,7 +67,7 @@ def submit_reprocessing(
             caller,
             "calibration",
             body.priority,
-            CalibrationOptions.from_dict({"noise_nt": noise_nt[_place(row)]} | body.options).to_dict() | file,
+            as_asked(CalibrationOptions.from_dict({"noise_nt": noise_nt[_place(row)]} | body.options)) | file,
             satellite_id=row.satellite_id,
             magnetometer_id=row.magnetometer_id,
             parent_id=parent.id,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Final
 
@@ -127,6 +128,7 @@ class _Auditor:
         order = (Activation.satellite_id, Activation.magnetometer_id, Activation.begun_at, Activation.id)
         before: Activation | None = None
         rulers: set[str] = set()
+        ended: dict[tuple[str, str, datetime], list[Activation]] = {}
         for row in self._session.scalars(select(Activation).order_by(*order)):
             is_first = before is None or _sensor(before) != _sensor(row)
             if not is_first and before is not None and (before.ended_at is None or before.ended_at > row.begun_at):
@@ -134,14 +136,24 @@ class _Auditor:
             previous = None if row.previous_id is None else self._session.get(Activation, row.previous_id)
             if previous is not None and previous.parameter_set_id == row.parameter_set_id:
                 self.find("activation", row.id, "the parameter set stands as its own predecessor")
-            if previous is None and before is not None and not is_first and before.ended_at == row.begun_at:
+            replaced = ended.get((*_sensor(row), row.begun_at), [])
+            if replaced and not any(self._follows(row, one) for one in replaced):
                 self.find("activation", row.id, "the activation took another's place and does not name it")
+            if row.ended_at is not None:
+                ended.setdefault((*_sensor(row), row.ended_at), []).append(row)
             if row.ended_at is None:
                 rulers.add(row.parameter_set_id)
             before = row
         active = set(self._session.scalars(select(ParameterSet.id).where(ParameterSet.status == "active")))
         for parameter_set_id in sorted(active ^ rulers):
             self.find("activation", parameter_set_id, "its status and its activations do not agree")
+
+    def _follows(self, row: Activation, replaced: Activation) -> bool:
+        """Return whether ``row`` replaced it, or is a rollback to what it had replaced."""
+        if row.previous_id == replaced.id:
+            return True
+        back = None if replaced.previous_id is None else self._session.get(Activation, replaced.previous_id)
+        return back is not None and (back.parameter_set_id, back.previous_id) == (row.parameter_set_id, row.previous_id)
 
     def queue(self) -> None:
         """Look at every job: results of those that succeeded, leases of those that run, requests that sum others up."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Literal
 
 from pydantic import Field
 
 from app.http.schemas import Body
+from magcal_core.options import CalibrationOptions
 
 
 class GyroBody(Body):
@@ -50,3 +52,17 @@ class CalibrationOptionsBody(Body):
         names = set(CalibrationOptionsBody.model_fields) - {"gyro"}
         given = {name: value for name, value in self.model_dump(include=names).items() if value is not None}
         return given if self.gyro is None else {**given, "gyro": self.gyro.columns, "gyro_unit": self.gyro.unit}
+
+
+def as_asked(options: CalibrationOptions) -> dict[str, object]:
+    """Return every option as a request carries it, so that what a job was asked for can be asked for again."""
+    values = options.to_dict()
+    unit = values.pop("gyro_unit")
+    return values | {"gyro": {"columns": list(options.gyro), "unit": unit} if options.gyro else None}
+
+
+def as_options(asked: Mapping[str, object]) -> dict[str, object]:
+    """Return the options of a job's request as `CalibrationOptions.from_dict` takes them."""
+    values = dict(asked)
+    gyro = values.pop("gyro", None)
+    return values | {"gyro": gyro["columns"], "gyro_unit": gyro["unit"]} if isinstance(gyro, dict) else values

@@ -39,7 +39,8 @@ def test_the_readme_s_own_telemetry_is_calibrated_as_it_says(tmp_path):
     """The commands as they are printed, by a shell, in a folder that has what a fresh clone and `make install` have."""
     blocks = re.findall(r"```sh\n(.*?)```", (EXAMPLES.parent / "README.md").read_text(encoding="utf-8"), re.DOTALL)
     script = next(block for block in blocks if "magcal simulate" in block)
-    (tmp_path / "app").symlink_to(EXAMPLES.parent / "app")
+    for package in ("app", "magcal_core"):
+        (tmp_path / package).symlink_to(EXAMPLES.parent / package)
     (tmp_path / ".venv" / "bin").mkdir(parents=True)
     (tmp_path / ".venv" / "bin" / "magcal").symlink_to(Path(sys.executable).with_name("magcal"))
     done = subprocess.run(["sh", "-e", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)

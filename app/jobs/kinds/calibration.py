@@ -23,6 +23,7 @@ from app.orbits.repository import OrbitRepository
 from app.orbits.tables import OrbitRow
 from app.parameter_sets.repository import ParameterSetRepository
 from app.parameter_sets.tables import ParameterSet
+from app.records.calibration_options import as_asked, as_options
 from app.satellites.repository import SatelliteRepository
 from app.sessions.repository import SessionRepository, identity
 from app.sessions.tables import Chunk, TelemetrySession
@@ -81,7 +82,7 @@ class CalibrationKind:
             raise ConflictError("a session has no samples yet")
         satellite_id, magnetometer_id = places.pop()
         magnetometer = SatelliteRepository(session, caller).magnetometer(satellite_id, magnetometer_id)
-        options = CalibrationOptions.from_dict({"noise_nt": magnetometer.noise_nt} | body.options).to_dict()
+        options = as_asked(CalibrationOptions.from_dict({"noise_nt": magnetometer.noise_nt} | body.options))
         lock = f"{satellite_id}/{magnetometer_id}"
         if body.field_file is not None:
             options[FIELD_FILE] = body.field_file
@@ -121,7 +122,7 @@ class CalibrationKind:
         near = orbits.around(begin, end, _limit_days(claim.request))
         satellite = SatelliteRepository(session, SYSTEM).get(str(claim.satellite_id))
         others = {row.id: other for row in near if (other := difference(satellite, row.details)) is not None}
-        options = dict(claim.request)
+        options = as_options(claim.request)
         file_id = options.pop(FIELD_FILE, None)
         options.pop(CANDIDATES, None)
         files = IndexRepository(session, SYSTEM)

@@ -20,6 +20,8 @@ PLAIN = [
     "--robust", "none", "--noise-model", "none", "--time-offset", "none",
     "--locked-terms", "none", "--bias-steps", "none",
 ]  # fmt: skip
+SCALAR = ["--method", "scalar", *PLAIN]
+"""The plain fit of |B|, which the figures of an independent one are of."""
 BRO4_READING = {"time": "ts", "bx": "extmag_0", "by": "extmag_1", "bz": "extmag_2"}
 BRO4_REFERENCE = {f"ref_eci_{axis}": f"ephem_mageci_{i}" for i, axis in enumerate("xyz")}
 
@@ -241,18 +243,11 @@ def test_every_fault_of_the_telemetry_gets_a_line(nominal: Path, tmp_path: Path)
     assert [fault.strip().split(":")[0] for fault in faults] == ["line 4, column bx", "line 6"]
 
 
-PLAIN = (
-    *("--method", "scalar", "--robust", "none", "--noise-model", "none", "--time-offset", "none"),
-    *("--locked-terms", "none", "--bias-steps", "none"),
-)
-"""The plain fit, which the figures of an independent one are of."""
-
-
 @pytest.mark.real_data
 def test_bro4_against_its_on_board_reference(bro4_dir: Path) -> None:
     """181.5 nT from 1367 nT, as an independent fit of the same 2371 samples has it."""
     columns = json.dumps(BRO4_READING | BRO4_REFERENCE)
-    record = parameter_set(bro4_dir / "external.csv", "--columns", columns, "--unit", "mG", *PLAIN)
+    record = parameter_set(bro4_dir / "external.csv", "--columns", columns, "--unit", "mG", *SCALAR)
     statistics = record["statistics"]
     assert isinstance(statistics, dict)
     assert statistics["samples"] == 2371
@@ -265,7 +260,7 @@ def test_bro4_with_a_tle_33_days_newer_warns_of_its_age(bro4_dir: Path) -> None:
     """423 nT: what a clock error of half a minute, which nobody estimates here, leaves."""
     reading = [bro4_dir / "external.csv", "--columns", json.dumps(BRO4_READING), "--unit", "mG"]
     tle = ["--tle", bro4_dir / "tle.txt"]
-    record = parameter_set(*reading, *tle, "--max-orbit-age-days", 60, *PLAIN)
+    record = parameter_set(*reading, *tle, "--max-orbit-age-days", 60, *SCALAR)
     statistics, warnings = record["statistics"], record["warnings"]
     assert isinstance(statistics, dict)
     assert isinstance(warnings, list)
