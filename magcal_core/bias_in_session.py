@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_core.calibration.estimators.registry import ESTIMATORS
+from magcal_core.calibration.estimators.registry import STEP_METHODS
 from magcal_core.calibration.observability.information import WEAK_BELOW, Observability
 from magcal_core.calibration.reasons import Reason, Verdict
-from magcal_core.calibration.refit.moments import METHODS as MOMENTS_METHODS
 from magcal_core.calibration.refit.moments import FitMoments
 from magcal_core.calibration.result import Calibration
 from magcal_core.calibration.sessions.windows import windows_of
@@ -42,9 +41,8 @@ def wants_moments(options: CalibrationOptions) -> bool:
     OptionError
         ``bias_steps`` is ``fit`` and the method takes no regressors or leaves no moments.
     """
-    is_fitting = ESTIMATORS[options.method].takes_regressors and options.method in MOMENTS_METHODS
-    if options.bias_steps == "fit" and not is_fitting:
-        raise OptionError(f"bias_steps: {options.method} cannot fit steps; scalar and vector can")
+    if options.bias_steps == "fit" and options.method not in STEP_METHODS:
+        raise OptionError(f"bias_steps: {options.method} cannot fit steps; {' and '.join(STEP_METHODS)} can")
     return options.bias_steps != "none"
 
 

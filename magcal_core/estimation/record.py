@@ -14,7 +14,6 @@ from magcal_core.calibration.diagnosis.mounting import mounting_of
 from magcal_core.calibration.diagnosis.residual_table import residual_table
 from magcal_core.calibration.diagnosis.residual_warnings import residual_warnings
 from magcal_core.calibration.refit.moments import MAX_COLUMNS, FitMoments, moments_of_fit
-from magcal_core.calibration.refit.moments import METHODS as MOMENTS_METHODS
 from magcal_core.calibration.result import Calibration
 from magcal_core.calibration.terms.clock import AUTO_AGE_DAYS, ClockFit, with_rates
 from magcal_core.calibration.terms.locked_clock import LockedClock
@@ -183,7 +182,7 @@ def _moments(estimate: Estimate, judgement: Judgement) -> FitMoments | None:
 
     None where its method has none, or where the scale has regressors: moments at fixed slopes would hide their errors.
     """
-    if estimate.estimator.name not in MOMENTS_METHODS or any(map(is_of_scale, estimate.fit.parameters.regressors)):
+    if not estimate.estimator.has_moments or any(map(is_of_scale, estimate.fit.parameters.regressors)):
         return None
     referenced = estimate.prepared.referenced
     o, samples, clock = estimate.observations, referenced.samples, estimate.clock

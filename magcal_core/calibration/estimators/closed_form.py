@@ -42,6 +42,7 @@ class ClosedFormFit:
     name: str = "vector-closed-form"
     is_vector: bool = True
     takes_regressors: bool = False
+    has_moments: bool = False
 
     def fit(self, observations: Observations, settings: FitSettings) -> Fit:
         """Return the estimate and the candidates.

@@ -117,6 +117,7 @@ class HookeJeevesFit:
     name: str = "scalar-hooke-jeeves"
     is_vector: bool = False
     takes_regressors: bool = False
+    has_moments: bool = True
 
     def fit(self, observations: Observations, settings: FitSettings) -> Fit:
         """Return the estimate.

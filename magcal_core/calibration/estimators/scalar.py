@@ -121,6 +121,7 @@ class ScalarFit:
     name: str = "scalar"
     is_vector: bool = False
     takes_regressors: bool = True
+    has_moments: bool = True
 
     def fit(self, observations: Observations, settings: FitSettings) -> Fit:
         """Return the estimate.

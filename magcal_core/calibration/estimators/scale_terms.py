@@ -59,6 +59,11 @@ class WithScaleTerms:
         """Whether the method can fit regressors and a clock offset."""
         return self.inner.takes_regressors
 
+    @property
+    def has_moments(self) -> bool:
+        """Whether its fit is the minimum of squares that refits from stored moments start at."""
+        return self.inner.has_moments
+
     def fit(self, observations: Observations, settings: FitSettings) -> Fit:
         """Return the estimate.
 

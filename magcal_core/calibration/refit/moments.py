@@ -42,8 +42,6 @@ from magcal_core.sensor.parameterisation import (
 )
 from magcal_core.sensor.parameters import Parameters
 
-METHODS: Final = frozenset({"scalar", "scalar-hooke-jeeves", "vector"})
-"""Methods whose estimate is the minimum of a sum of squares, which a step from it can be taken of."""
 MAX_COLUMNS: Final = 6
 _BLOCKS: Final = (24, 96)
 """Fewest and most blocks with a normal matrix; where the fit has more blocks, neighbours share one."""
@@ -286,7 +284,7 @@ def _firsts(blocks: int, unknowns: int) -> NDArray[np.intp]:
 def moments_of_fit(
     observations: Observations, fit: Fit, t_utc: Times, shifts: Sequence[ReferenceShift], *, is_clock_fitted: bool
 ) -> FitMoments:
-    """Return the moments of ``fit``, which is one of `METHODS` and has no regressors of the scale.
+    """Return the moments of ``fit``, whose method has moments, and which has no regressors of the scale.
 
     ``observations``: those of the fit, at its clock, with every column that may be asked for among their regressors and
     the fall of the reference by the clock's offset, where there is one; ``t_utc``, shape (n,): their times.

@@ -10,6 +10,7 @@ import numpy as np
 
 from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.normal_equations import block_equations, equations_at
+from magcal_core.calibration.estimators.registry import is_vector_method
 from magcal_core.calibration.estimators.scale_terms import without_scale_terms
 from magcal_core.calibration.reasons import Reason
 from magcal_core.calibration.sessions.consistency import ParameterDifference
@@ -103,7 +104,7 @@ class ActiveSet:
             rms_nt = float(statistics["after"]["rms_nt"])
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"the record is no parameter set: {error}") from error
-        return cls(parameters, covariance, rms_nt, str(record.get("method", "")).startswith("vector"))
+        return cls(parameters, covariance, rms_nt, is_vector_method(record.get("method")))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

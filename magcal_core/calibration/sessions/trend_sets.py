@@ -9,6 +9,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from magcal_core.arrays import Floats
+from magcal_core.calibration.estimators.registry import is_vector_method
 from magcal_core.errors import InputError, OptionError, TimeError, TooFewSetsError
 from magcal_core.sensor.regressors import is_step
 from magcal_core.telemetry.iso_times import parse_iso_ns
@@ -164,7 +165,7 @@ def _dated(record: Mapping[str, object]) -> DatedSet:
         is_active=record.get("status") == "active",
         is_refused=verdict.get("grade") == "refuse",
         kind=(
-            str(record.get("method", "")).startswith("vector"),
+            is_vector_method(record.get("method")),
             frozenset(name for name in regressors if not is_step(name)),
         ),
         parameters=parameters,
