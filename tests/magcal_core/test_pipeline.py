@@ -133,7 +133,7 @@ def test_a_reference_in_a_turned_frame_gives_the_full_matrix(nominal):
     assert (straight.extras["parameters_of"], got.extras["parameters_of"]) == ("lower", "full")
     assert got.verdict.grade == "accept"
     assert [one for one in got.warnings if one.startswith("misaligned")]
-    assert got.extras["bias_steps"]["state"] == "not_searched", "what turns is no step of nine parameters' bias"
+    assert got.to_dict()["bias_steps"]["state"] == "not_searched", "what turns is no step of nine parameters' bias"
     np.testing.assert_allclose(got.matrix, straight.matrix @ rotation, atol=1e-3)
     np.testing.assert_allclose(got.parameters.scale, straight.parameters.scale, atol=1e-3)
     errors = np.array(got.extras["matrix_standard_errors"])
