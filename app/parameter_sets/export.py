@@ -13,7 +13,7 @@ from app.parameter_sets.flight_tables import Document
 from app.parameter_sets.schemas import ParameterSetRead
 from app.parameter_sets.worked_example import COLUMN, formula, rotation_of_symmetric, worked
 from magcal_core.sensor.conventions import convert
-from magcal_core.sensor.model import SensorModel
+from magcal_core.sensor.parameters import Parameters
 
 
 def exported(record: ParameterSetRead, convention: str, form: str) -> tuple[str, str]:
@@ -36,7 +36,7 @@ def document_of(record: ParameterSetRead, convention: str) -> Document:
     parameters = convert(exact, "exact", convention)
     if convention == "symmetric":
         parameters["rotation"] = rotation_of_symmetric(record.correction_matrix, parameters["matrix"])
-    sensor = SensorModel(*(np.array(exact[name]) for name in ("bias_nt", "scale", "nonorthogonality_deg")))
+    sensor = Parameters.from_record({"parameters": exact}).sensor
     base = {name: exact[name] for name in ("time_base_utc",) if name in exact}
     return {
         "id": record.id,

@@ -95,7 +95,7 @@ def _comparison(subject: Subject) -> str | None:
 
 
 TUKEY: Final = _again("Again with tukey", lambda _subject: {"robust": "tukey"})
-REGRESSORS: Final = _again("With the regressors that unseen blocks bear out", _regressors)
+REGRESSORS: Final = _again("With the regressors that unseen blocks support", _regressors)
 NO_REGRESSORS: Final = _again(
     "Without regressors", lambda one: {"regressors": []} if one.options.get("regressors") else None
 )
