@@ -84,9 +84,9 @@ def read_telemetry(
     validity_column, valid_values : str, values
         The column that says which readings are good, and its values that do.
     orbit_spans : pairs of instants
-        Where the orbits at hand are good: by them a message tells the form that times may have.
+        Where the available orbits are good: by them a message tells the form that times may have.
     field_range_nt : pair of floats, optional
-        Bounds of |B|, nT, by which a wrong unit is told; None leaves the unit unchecked.
+        Bounds of |B|, nT, by which a wrong unit is recognised; None leaves the unit unchecked.
     max_bad_fraction, max_conflict_fraction : float
         Shares of flagged samples past which the table is refused.
     max_rows, max_decompressed_bytes : int
