@@ -124,6 +124,27 @@ def test_every_promise_of_the_reliability_page_has_a_figure_and_what_holds_it() 
         assert missing == [], name
 
 
+def test_lines_of_the_documentation_are_at_most_110_columns() -> None:
+    wrap = script("wrap_lines")
+    found = {path.name: lines for path in wrap.pages() if (lines := wrap.long_lines(path.read_text(encoding="utf-8")))}
+    assert found == {}, "python docs/wrap_lines.py"
+
+
+def test_wrapping_a_page_leaves_its_words_its_code_and_its_tables() -> None:
+    words = "word " * 40
+    free = f"- {words}`a code of {words}` {words}- 3 {words}\n\n{words}1. {words}\n"
+    text = f"# {words}\n\n| {words} |\n\n    {words}\n\n{free}"
+    wrap = script("wrap_lines")
+    found = wrap.wrapped(text)
+    assert found.split() == text.split()
+    assert wrap.long_lines(text) and not [line for line in wrap.long_lines(found) if "`" not in line]
+    assert wrap.wrapped(found) == found
+    kept = [f"# {words}", f"| {words} |", f"    {words}"]
+    assert [line for line in found.split("\n") if line in kept] == kept
+    assert not re.search(r"^ *1\. ", found, re.MULTILINE)
+    assert len(re.findall(r"^ *- ", found, re.MULTILINE)) == 1
+
+
 def test_the_page_of_names_has_those_of_the_registries() -> None:
     assert page("names.md") == script("write_names").page(), "python docs/write_names.py"
 
