@@ -26,6 +26,7 @@ COMMANDS: Final[dict[str, str]] = {
     "trend": "Parameters over many sets: where they are now, how long the active set stays good.",
     "pull": "Pull telemetry from a Yamcs, SatNOGS or HAPI archive.",
     "orbits": "Keep the satellites' orbits fresh from a catalogue.",
+    "indices": "Fetch indices of the external field from where they are published.",
     "which-object": "Tell of which object of a launch telemetry is, by the residuals that each one's orbit leaves.",
     "report": "The report of a parameter set as one HTML file, or PDF.",
     "convert": "Convert parameters between conventions, loss-free.",
