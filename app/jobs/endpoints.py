@@ -22,13 +22,13 @@ from app.jobs.kinds.result_series import read_series
 from app.jobs.repository import JobRepository
 from app.jobs.reprocessing import submit_reprocessing
 from app.jobs.schemas import JobPage, JobQuery, JobRead, ReprocessingBody
+from app.jobs.transitions import ENDED
 from app.parameter_sets.schemas import TableQuery
 from app.records.arrow import from_bytes
 
 router = APIRouter(route_class=StrictJsonRoute, tags=["jobs"])
 
 LOOK_EVERY_S: Final = 0.2
-ENDED: Final = frozenset({"succeeded", "failed", "cancelled"})
 
 
 @router.post("/jobs", status_code=202)
