@@ -12,10 +12,11 @@ from app.access.caller import Caller
 from app.errors import ConflictError, NotFoundError
 from app.http.paging import fetch_page, has_part
 from app.jobs.fair_order import take_turns
+from app.jobs.kinds.contract import Admission
 from app.jobs.kinds.registry import JOB_KINDS
 from app.jobs.queue import Queue
 from app.jobs.quota import check_quota
-from app.jobs.reprocessing import KIND, progress_of
+from app.jobs.reprocessing import KIND, progress_of, retry_reprocessing
 from app.jobs.schemas import JobBody, JobQuery, JobRead
 from app.jobs.tables import Job, JobSession
 from app.jobs.transitions import ENDED, cancel, cancel_sum, new_job
@@ -40,9 +41,38 @@ class JobRepository:
         if most_queued is not None:
             check_quota(self.session, self.caller, most_queued, 1)
             kind.check(self.session, admission)
+        job = self._queued(body.kind, body.priority, admission, queue)
+        record_event(self.session, self.caller, f"job.{body.kind}", job.id, job.satellite_id)
+        return job
+
+    def retry(self, job_id: str, queue: Queue, most_queued: int) -> Job:
+        """Return a new job of what the job ``job_id``, which has ended, was asked for.
+
+        Raises
+        ------
+        ConflictError
+            The job has not ended.
+        QuotaError
+            More than ``most_queued`` jobs of the caller's key would wait.
+        """
+        job = self.get(job_id)
+        if job.state not in ENDED:
+            raise ConflictError(f"the job is {job.state}: cancel it, or wait until it has ended")
+        if job.kind == KIND:
+            return retry_reprocessing(self.session, self.caller, job, queue, most_queued)
+        links = select(JobSession.session_id).where(JobSession.job_id == job_id).order_by(JobSession.session_id)
+        session_ids = self.session.scalars(links).all()
+        admission = Admission(job.request, job.satellite_id, job.magnetometer_id, session_ids, job.lock)
+        check_quota(self.session, self.caller, most_queued, 1)
+        JOB_KINDS[job.kind].check(self.session, admission)
+        made = self._queued(job.kind, job.priority, admission, queue)
+        record_event(self.session, self.caller, "job.retry", made.id, made.satellite_id, reason=f"job {job.id}")
+        return made
+
+    def _queued(self, kind: str, priority: int, admission: Admission, queue: Queue) -> Job:
         job = new_job(
-            body.kind,
-            body.priority,
+            kind,
+            priority,
             admission.request,
             self.caller.key_id,
             satellite_id=admission.satellite_id,
@@ -53,7 +83,6 @@ class JobRepository:
         queue.enqueue(self.session, [job])
         self.session.flush()
         self.session.add_all(JobSession(job_id=job.id, session_id=one) for one in admission.session_ids)
-        record_event(self.session, self.caller, f"job.{body.kind}", job.id, job.satellite_id)
         return job
 
     def get(self, job_id: str) -> Job:

@@ -50,8 +50,6 @@ def submit_reprocessing(
     satellites = {row.satellite_id for row in chosen}
     satellite_id = satellites.pop() if len(satellites) == 1 else None
     parent = new_job(KIND, body.priority, options | file, caller.key_id, is_sum=True, satellite_id=satellite_id)
-    session.add(parent)
-    session.flush()
     noise_nt = _noise(session)
     jobs = [
         new_job(
@@ -65,12 +63,59 @@ def submit_reprocessing(
         )
         for row in chosen
     ]
+    _enqueue(session, queue, parent, jobs, [[row.id] for row in chosen])
+    record_event(session, caller, "job.reprocessing", parent.id, parent.satellite_id)
+    return parent
+
+
+def retry_reprocessing(session: Session, caller: Caller, ended: Job, queue: Queue, most_queued: int) -> Job:
+    """Return a new job that sums up each calibration of a reprocessing that has ended, all of them enqueued again.
+
+    One whose session has lost its telemetry since fails, and says so.
+
+    Raises
+    ------
+    QuotaError
+        With these, more than ``most_queued`` jobs of the caller's key would wait.
+    """
+    before = session.scalars(select(Job).where(Job.parent_id == ended.id).order_by(Job.id)).all()
+    if not before:
+        raise ConflictError("the calibrations of this reprocessing are no longer there")
+    check_quota(session, caller, most_queued, len(before))
+    check_field(session, ended.request)
+    links = select(JobSession.job_id, JobSession.session_id).join(Job, Job.id == JobSession.job_id)
+    sessions: dict[str, list[str]] = {one.id: [] for one in before}
+    for job_id, session_id in session.execute(links.where(Job.parent_id == ended.id)):
+        sessions[job_id].append(session_id)
+    parent = new_job(KIND, ended.priority, ended.request, caller.key_id, is_sum=True, satellite_id=ended.satellite_id)
+    jobs = [
+        new_job(
+            one.kind,
+            one.priority,
+            one.request,
+            caller.key_id,
+            satellite_id=one.satellite_id,
+            magnetometer_id=one.magnetometer_id,
+            parent_id=parent.id,
+        )
+        for one in before
+    ]
+    _enqueue(session, queue, parent, jobs, [sessions[one.id] for one in before])
+    record_event(session, caller, "job.retry", parent.id, parent.satellite_id, reason=f"job {ended.id}")
+    return parent
+
+
+def _enqueue(
+    session: Session, queue: Queue, parent: Job, jobs: Sequence[Job], session_ids: Sequence[Sequence[str]]
+) -> None:
+    """Keep ``parent`` and hand out its ``jobs``, each with its sessions."""
+    session.add(parent)
+    session.flush()
     take_turns(session, jobs)
     queue.enqueue(session, jobs)
     session.flush()
-    session.add_all(JobSession(job_id=job.id, session_id=row.id) for job, row in zip(jobs, chosen, strict=True))
-    record_event(session, caller, "job.reprocessing", parent.id, parent.satellite_id)
-    return parent
+    pairs = zip(jobs, session_ids, strict=True)
+    session.add_all(JobSession(job_id=job.id, session_id=one) for job, own in pairs for one in own)
 
 
 def _sessions(session: Session, caller: Caller, body: ReprocessingBody) -> Sequence[TelemetrySession]:
