@@ -33,7 +33,7 @@ IndexGap = Annotated[str, OneOf(INDEX_GAPS)]
 class GyroBody(Body):
     """The session's columns of angular rate, one an axis, and their unit."""
 
-    columns: tuple[str, str, str]
+    columns: list[str] = Field(min_length=3, max_length=3)
     unit: Annotated[str, OneOf(GYRO_UNITS)] = "deg/s"
 
 
@@ -81,7 +81,11 @@ def as_asked(options: CalibrationOptions) -> dict[str, object]:
 
 
 def as_options(asked: Mapping[str, object]) -> dict[str, object]:
-    """Return the options of a job's request as `CalibrationOptions.from_dict` takes them."""
-    values = dict(asked)
-    gyro = values.pop("gyro", None)
-    return values | {"gyro": gyro["columns"], "gyro_unit": gyro["unit"]} if isinstance(gyro, dict) else values
+    """Return the options of a job's request as `CalibrationOptions.from_dict` takes them.
+
+    A request that an earlier release has queued names the columns of its gyro, and their unit, beside each other.
+    """
+    gyro = asked.get("gyro")
+    if isinstance(gyro, dict):
+        return {**asked, "gyro": gyro["columns"], "gyro_unit": gyro["unit"]}
+    return {name: value for name, value in asked.items() if (name, value) != ("gyro", None)}
