@@ -27,6 +27,7 @@ UNCERTAINTY: Final = "magcal_core/calibration/uncertainty"
 VERDICT: Final = "magcal_core/calibration/verdict"
 FRAMES: Final = "magcal_core/orbit/earth/frames.py"
 LEASES: Final = "app/jobs/execution/leases.py"
+TRANSITIONS: Final = "app/jobs/transitions.py"
 CORE_TESTS: Final = "tests/magcal_core/calibration"
 
 
@@ -169,11 +170,11 @@ FAULTS: Final[dict[str, Fault]] = {
         ("tests/app/reliability/test_two_writers.py",),
     ),
     "any-attempt-may-finish": Fault(
-        LEASES, 'JOBS.c.attempts == bindparam("of_attempt"), ', 'bindparam("of_attempt") > 0, ',
+        TRANSITIONS, 'JOBS.c.attempts == bindparam("of_attempt")', 'bindparam("of_attempt") > 0',
         ("tests/app/reliability/test_two_writers.py", "tests/app/jobs/test_kinds.py"),
     ),
     "parent-not-locked": Fault(
-        "app/jobs/reprocessing.py", "(Job.id == parent_id).with_for_update(key_share=True)", "(Job.id == parent_id)",
+        TRANSITIONS, "(Job.id == parent_id).with_for_update(key_share=True)", "(Job.id == parent_id)",
         ("tests/app/reliability/test_two_writers.py",),
     ),
 }  # fmt: skip
