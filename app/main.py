@@ -37,10 +37,11 @@ from app.http.problem_handlers import install_handlers
 from app.http.receiving import Admission, sweep_incoming
 from app.indices import endpoints as indices
 from app.jobs import endpoints as jobs
+from app.jobs import preview_endpoints
 from app.jobs.engines.open_engine import Engine, open_engine
 from app.maintenance import satellite_endpoints
 from app.monitoring import endpoints as monitoring
-from app.monitoring import rollouts, trends
+from app.monitoring import rollouts, set_comparison, trends
 from app.notes import endpoints as notes
 from app.notifications import endpoints as notifications
 from app.notifications.event_stream import NewestEntry
@@ -71,12 +72,14 @@ ROOMS: Final = (
     satellite_endpoints,
     orbits,
     jobs,
+    preview_endpoints,
     parameter_sets,
     pointing,
     refits,
     bias_paths,
     trends,
     rollouts,
+    set_comparison,
     aboard,
     field,
     indices,
