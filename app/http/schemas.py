@@ -9,7 +9,16 @@ from typing import Annotated, Final, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, StringConstraints
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    StringConstraints,
+    WithJsonSchema,
+)
 from pydantic_core import PydanticCustomError
 
 MAX_NAME: Final = 200
@@ -72,7 +81,12 @@ def _clean_text(value: str) -> str:
     return text
 
 
-UtcTime = Annotated[datetime, BeforeValidator(parse_utc), PlainSerializer(utc_text, return_type=str)]
+UtcTime = Annotated[
+    datetime,
+    BeforeValidator(parse_utc),
+    PlainSerializer(utc_text, return_type=str),
+    WithJsonSchema({"type": "string", "format": "date-time"}),
+]
 Name = Annotated[str, StringConstraints(min_length=1, max_length=MAX_NAME), AfterValidator(_clean_text)]
 Slug = Annotated[str, StringConstraints(pattern=r"^[a-z0-9][a-z0-9._-]{0,62}$")]
 """Name of a satellite or magnetometer in addresses: lower case, digits, dot, dash, underscore."""
