@@ -250,3 +250,21 @@ def test_the_fleet_is_searched_sorted_and_counted_by_the_service(service, api, n
     assert [one["satellite"] for one in rest["items"]] == [made[2]]
     assert api.get("/fleet", params={"q": "lantern", "state": "act"}).json()["total"] == 1
     assert api.get("/fleet", params={"q": "lantern", "sort": "nonsense"}).status_code == 422
+
+
+@pytest.mark.parametrize("path", ["/attention", "/fleet"])
+def test_who_has_the_list_already_is_told_so_until_it_changes(service, path, names):
+    """By a key of one satellite alone: what other tests do changes nothing of it."""
+    own = next(names)
+    with service.client() as admin, service.client(service.key("read", satellites=[own])) as reader:
+        admin.post("/satellites", json={"id": own}).raise_for_status()
+        first = reader.get(path)
+        tag = first.headers["etag"]
+        assert first.headers["cache-control"] == "private, no-cache"
+        again = reader.get(path, headers={"If-None-Match": tag})
+        assert (again.status_code, again.content, again.headers["etag"]) == (304, b"", tag)
+        admin.post(f"/satellites/{own}/magnetometers", json={"id": "mgm", "unit": "nT"}).raise_for_status()
+        changed = reader.get(path, headers={"If-None-Match": tag})
+        assert changed.status_code == 200
+        assert changed.headers["etag"] != tag
+        assert len(changed.json()["items"]) == 1
