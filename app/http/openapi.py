@@ -66,8 +66,8 @@ def _describe(made: Document, prefix: str, routers: Sequence[APIRouter]) -> None
                 "content": {"application/problem+json": {"schema": {"$ref": REFERENCE}}},
             }
     for operations in paths.values():
-        for operation in operations.values() if isinstance(operations, dict) else ():
-            _explain_operation(operation)
+        for one in operations.values() if isinstance(operations, dict) else ():
+            _explain_operation(one)
     for name, schema in schemas.items():
         _explain_schema(name, schema)
     for schema in schemas.values():

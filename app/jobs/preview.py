@@ -123,8 +123,8 @@ def preview(subject: Subject) -> SessionPreview:
         session_id=subject.row.id,
         satellite=subject.row.satellite_id,
         magnetometer=subject.row.magnetometer_id,
-        options_from=subject.options_from,  # type: ignore[arg-type]
-        options=dict(request),  # type: ignore[arg-type]
+        options_from=subject.options_from,
+        options=dict(request),
         field_model=None if referenced is None else referenced.report.field_model,
         index_needed=None if parts is None else parts.needs,
         orbit_model=None if referenced is None else referenced.report.orbit_model,
