@@ -131,20 +131,23 @@ def tell_changes(database: Database) -> None:
     over = [row for row in told.values() if row.entry_id not in found]
     if not raised and not over:
         return
-    with database.write() as session:
-        gone = [row.entry_id for row in over] + [entry.id for entry in raised]
-        for start in range(0, len(gone), 500):
-            session.execute(delete(AttentionRaised).where(AttentionRaised.entry_id.in_(gone[start : start + 500])))
-        session.add_all(_row(entry) for entry in raised)
-        session.flush()
-        cleared = (
-            attention_changed(
-                is_raised=False, cause=row.code, reason="over", satellite_id=row.satellite_id,
-                magnetometer_id=row.magnetometer_id, details={"id": row.entry_id, "severity": row.severity},
-            )
-            for row in over
-        )  # fmt: skip
-        outbox.append(session, [*cleared, *(_event(entry) for entry in raised)])
+    database.transact(lambda session: _tell(session, raised, over))
+
+
+def _tell(session: Session, raised: Sequence[Entry], over: Sequence[AttentionRaised]) -> None:
+    gone = [row.entry_id for row in over] + [entry.id for entry in raised]
+    for start in range(0, len(gone), 500):
+        session.execute(delete(AttentionRaised).where(AttentionRaised.entry_id.in_(gone[start : start + 500])))
+    session.add_all(_row(entry) for entry in raised)
+    session.flush()
+    cleared = (
+        attention_changed(
+            is_raised=False, cause=row.code, reason="over", satellite_id=row.satellite_id,
+            magnetometer_id=row.magnetometer_id, details={"id": row.entry_id, "severity": row.severity},
+        )
+        for row in over
+    )  # fmt: skip
+    outbox.append(session, [*cleared, *(_event(entry) for entry in raised)])
 
 
 def _is_news(entry: Entry, told: AttentionRaised | None) -> bool:

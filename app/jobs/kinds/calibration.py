@@ -76,8 +76,7 @@ class CalibrationKind:
         places = {(row.satellite_id, row.magnetometer_id) for row in rows}
         if len(places) != 1:
             raise OptionError("the sessions are not of one magnetometer")
-        if any(row.raw_removed_at is not None for row in rows):
-            raise ExpiredError("the telemetry of a session is past its satellite's retention and has been removed")
+        _require_telemetry(rows)
         if not all(row.samples for row in rows):
             raise ConflictError("a session has no samples yet")
         satellite_id, magnetometer_id = places.pop()
@@ -93,8 +92,9 @@ class CalibrationKind:
         return Admission(options, satellite_id, magnetometer_id, session_ids, lock)
 
     def check(self, session: Session, admission: Admission) -> None:
-        """Raise where a session needs an orbit, or its field an index or a file, and none may serve it."""
+        """Raise where telemetry has been removed, or an orbit, index or file is needed and none may serve."""
         check_field(session, admission.request)
+        _require_telemetry([session.get_one(TelemetrySession, one) for one in admission.session_ids])
         most_days = limit_days(admission.request)
         orbits = OrbitRepository(session, SYSTEM, str(admission.satellite_id))
         for session_id in admission.session_ids:
@@ -179,6 +179,11 @@ def _in_force(session: Session, claim: Claim, begin: datetime) -> dict[str, obje
 def _candidates(request: Mapping[str, object]) -> list[str]:
     named = request.get(CANDIDATES)
     return [str(one) for one in named] if isinstance(named, list) else []
+
+
+def _require_telemetry(rows: Sequence[TelemetrySession]) -> None:
+    if any(row.raw_removed_at is not None for row in rows):
+        raise ExpiredError("the telemetry of a session is past its satellite's retention and has been removed")
 
 
 def limit_days(options: Mapping[str, object]) -> float:
