@@ -44,9 +44,9 @@ def of_overview(fleet: Fleet) -> Bringer:
     """Return what brings what needs attention, and the fleet."""
 
     def ask(caller: Caller, database: Database, _texts: Texts) -> Answers:
-        entries = attention.list_attention(AttentionQuery(limit=MOST_LINES, total=True), caller, database, fleet)
-        rows = attention.list_fleet(FleetQuery(limit=MOST_ROWS), caller, database, fleet)
-        first = attention.list_fleet(FleetQuery(limit=1), caller, database, fleet)
+        entries = attention.attention_now(AttentionQuery(limit=MOST_LINES, total=True), caller, database, fleet)
+        rows = attention.fleet_now(FleetQuery(limit=MOST_ROWS), caller, database, fleet)
+        first = attention.fleet_now(FleetQuery(limit=1), caller, database, fleet)
         return {
             f"/attention?limit={MOST_LINES}&total=true": entries.model_dump_json(),
             f"/fleet?limit={MOST_ROWS}&sort=worst": rows.model_dump_json(),
@@ -60,7 +60,7 @@ def counts_of(fleet: Fleet, caller: Caller, database: Database) -> AttentionCoun
     """Return how much needs attention, for the header; None for a key that may not read."""
     if not caller.may(Scope.READ):
         return None
-    return attention.list_attention(AttentionQuery(limit=1), caller, database, fleet).counts
+    return attention.attention_now(AttentionQuery(limit=1), caller, database, fleet).counts
 
 
 def of_satellite(satellite_id: str) -> Bringer:
