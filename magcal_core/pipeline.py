@@ -64,7 +64,7 @@ def calibrate(
     with_moments : bool
         Whether the result keeps the moments of the fit, from which it can be made again without the samples.
     progress : callable
-        Is told the share of the work that is done, from 0 to 1.
+        Is called with the share of the work that is done, from 0 to 1.
 
     Raises
     ------

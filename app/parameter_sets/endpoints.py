@@ -17,9 +17,10 @@ from app.http.receiving import Upload, receive
 from app.http.schemas import Name, Page
 from app.http.services import HttpServices, services_of
 from app.http.strict_json import StrictJsonRoute
-from app.http.tables import TABLES, TELEMETRY_BODY, table_response, wanted_format, write_table
+from app.http.tables import TABLES, TELEMETRY_BODY, WRITTEN_TYPES, table_response, wanted_format, write_table
 from app.parameter_sets.correction import Correction
-from app.parameter_sets.export import EXPORTERS, exported
+from app.parameter_sets.export import exported
+from app.parameter_sets.export_formats import EXPORTERS
 from app.parameter_sets.json_listing import ListingServices, found, listed, part, summaries
 from app.parameter_sets.reasons import Subject, explained
 from app.parameter_sets.repository import ParameterSetRepository
@@ -42,15 +43,13 @@ from app.sessions.tables import TelemetrySession
 from app.settings import Settings
 from app.storage.store import residuals_key
 from magcal_core.samples import Samples
-from magcal_core.telemetry import MEDIA_TYPES, write_samples
+from magcal_core.telemetry import write_samples
 
 router = APIRouter(route_class=StrictJsonRoute, prefix="/parameter-sets", tags=["parameter sets"])
 
 READINGS: Final = re.compile(r"time|[bq][wxyz]|ref_.*|[xyz]_km")
 """Columns that are no housekeeping."""
-EXPORTS: Final[dict[int | str, dict[str, Any]]] = {
-    200: {"content": {media_type: {} for media_type, _ in EXPORTERS.values()}}
-}
+EXPORTS: Final[dict[int | str, dict[str, Any]]] = {200: {"content": {one.media_type: {} for one in EXPORTERS.values()}}}
 
 
 @router.get("", response_model=Page[ParameterSetRead] | Page[ParameterSetSummary], responses=UNCHANGED)
@@ -171,7 +170,7 @@ async def apply_parameter_set(
     row, sensor = await run_in_threadpool(_row_and_sensor, parameter_set_id, caller, db)
     async with services_of(request.app, HttpServices).admission.place(caller):
         upload = await receive(request, config, authenticate)
-        sent = MEDIA_TYPES.get(upload.media_type.partition(";")[0].strip().lower(), "csv")
+        sent = WRITTEN_TYPES.get(upload.media_type.partition(";")[0].strip().lower(), "csv")
         form = wanted_format(request, query.format, sent)
         samples = await run_in_threadpool(_applied, row, sensor, upload, config, inverse=query.inverse)
         content = await run_in_threadpool(write_samples, samples, form)
