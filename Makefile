@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.installed
 KERNELS := $(VENV)/.kernels
 
 .DEFAULT_GOAL := help
-.PHONY: help system install demo test test-quick check format bench studies docs faults lock audit clean
+.PHONY: help system install demo test test-quick check format bench studies mutations docs faults lock audit clean
 
 help:            ## this list
 	@grep -hE '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 12
@@ -66,6 +66,9 @@ bench: $(KERNELS) ## measure against peers and bare kernels; writes benchmarks/r
 
 studies: $(KERNELS) ## count errors of estimates and verdicts over thousands of simulated missions; an hour or two
 	$(BIN)/python -m benchmarks --studies
+
+mutations: $(KERNELS) ## plant single faults in a copy and see whether the tests notice; FAULTS="a b" for some
+	$(BIN)/python tests/mutations.py $(FAULTS)
 
 docs: $(STAMP)    ## the documentation as web pages in site/
 	$(BIN)/mkdocs build --strict --quiet

@@ -40,12 +40,13 @@ from app.http.receiving import Admission, sweep_incoming
 from app.http.services import Stopping, install, services_of
 from app.indices import endpoints as indices
 from app.jobs import endpoints as jobs
+from app.jobs import preview_endpoints
 from app.jobs.dependencies import JobServices
 from app.jobs.engines.open_engine import open_engine
 from app.jobs.queue import Workers
 from app.maintenance import satellite_endpoints
 from app.monitoring import endpoints as monitoring
-from app.monitoring import rollouts, trends
+from app.monitoring import rollouts, set_comparison, trends
 from app.notes import endpoints as notes
 from app.notifications import endpoints as notifications
 from app.notifications.event_stream import EventServices, NewestEntry
@@ -78,12 +79,14 @@ ROOMS: Final = (
     satellite_endpoints,
     orbits,
     jobs,
+    preview_endpoints,
     parameter_sets,
     pointing,
     refits,
     bias_paths,
     trends,
     rollouts,
+    set_comparison,
     aboard,
     field,
     indices,

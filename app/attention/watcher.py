@@ -17,6 +17,7 @@ from sqlalchemy.orm import Session
 
 from app.access.caller import SYSTEM
 from app.attention.entries import Entry, standing
+from app.attention.lives import tell_lives
 from app.attention.situation import situations
 from app.attention.tables import AttentionRaised
 from app.jobs.kinds.monitoring import MonitoringBody
@@ -92,7 +93,8 @@ class Watcher:
         is_news = newest != self._seen and begun_s >= self._rested_s
         if not is_news and begun_s - self._swept_s < SWEEP_EVERY_S:
             return
-        self._seen, self._swept_s = newest, begun_s
+        is_more = tell_lives(self._database)
+        self._seen, self._swept_s = -1 if is_more else newest, begun_s
         tell_changes(self._database)
         self._rested_s = time.monotonic() + REST * (time.monotonic() - begun_s)
 

@@ -23,7 +23,7 @@ from magcal_core.calibration.verdict.assessment import Judgement, extras_of, mat
 from magcal_core.errors import IndexRangeError, OrbitMissingError
 from magcal_core.estimation.estimate import Estimate, still
 from magcal_core.estimation.gyros import gyros_of, mounting_by_gyros
-from magcal_core.estimation.judging import Judged, source_of_reference, storm_of
+from magcal_core.estimation.judgement import Judged, source_of_reference, storm_of
 from magcal_core.observations import Observations
 from magcal_core.options import CalibrationOptions
 from magcal_core.orbit.earth.timescales import nanoseconds
