@@ -39,7 +39,8 @@ MOVE_ERROR: Final = 0.3
 """Standard error of a move that is made, as a share of it."""
 FEW_SIZES: Final = (0.0, 0.3, 3.0)
 """Sizes of a family that are tried where the clock alone is asked for."""
-_BLOCKS: Final = 64
+BLOCKS: Final = 64
+"""Most blocks whose scores honest errors are taken from."""
 _ROUNDS: Final = 2
 
 
@@ -75,6 +76,8 @@ class LockedTerms:
         What was held against.
     moments : Moments
         Of the rows about the estimate.
+    softening : float
+        What a robust loss divides their normal matrix by.
     """
 
     parameters: Parameters
@@ -91,6 +94,7 @@ class LockedTerms:
     step: Floats
     columns: LockedColumns
     moments: Moments
+    softening: float
 
     @property
     def shift(self) -> Floats:
@@ -206,14 +210,19 @@ def locked_terms(
         step=end,
         columns=columns,
         moments=about.posterior.moments,
+        softening=softening,
     )
+
+
+def starts_of(fit: Fit, most: int) -> NDArray[np.intp]:
+    """Return the first samples of at most so many blocks of the fit's own, neighbours together."""
+    starts = fit.blocks.starts
+    return starts if len(starts) <= most else starts[(np.arange(most) * len(starts)) // most]
 
 
 def _edges(o: Observations, fit: Fit) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
     """Return the first samples of fine blocks, and which of these begin the blocks of the scores and the folds."""
-    scores = fit.blocks.starts
-    if len(scores) > _BLOCKS:
-        scores = scores[(np.arange(_BLOCKS) * len(scores)) // _BLOCKS]
+    scores = starts_of(fit, BLOCKS)
     folds = np.array([fold.start for fold in folds_of(o.t_s)], np.intp)
     starts = np.union1d(scores, folds)
     return starts, np.searchsorted(starts, scores), np.searchsorted(starts, folds)

@@ -99,25 +99,38 @@ def softening_of(rows: Rows, moments: Moments, fit: Fit) -> float:
 
 
 def effective_share(rows: Rows, columns: Floats, reduced: Reduced) -> float:
-    """Return how much a row counts for among rows that remember each other (k), from what all terms leave.
-
-    Notes
-    -----
-    k = 1 / (1 + 2 sum of the autocorrelations), until the first one below 2 / root rows, at most 400 lags.
-    """
-    a = np.asarray(np.linalg.solve(reduced.m + np.eye(len(reduced.v)) / _LARGEST**2, reduced.v), np.float64)
+    """Return how much a row counts for among rows that remember each other (k), from what all terms leave."""
+    a = largest_terms(reduced)
     d = np.asarray(reduced.offset - reduced.carry @ a)
+    products = products_of(rows, columns, d, a)
+    return share_of(products[1:] / products[0], rows.count) if products[0] > 0.0 else 1.0
+
+
+def largest_terms(reduced: Reduced) -> Floats:
+    """Return the terms, shape (f,), where each may have the largest size."""
+    return np.asarray(np.linalg.solve(reduced.m + np.eye(len(reduced.v)) / _LARGEST**2, reduced.v), np.float64)
+
+
+def products_of(rows: Rows, columns: Floats, d: Floats, a: Floats) -> Floats:
+    """Return sums of products of y - J d - F a with itself at lags of 0, 1, ..., up to the first that is noise.
+
+    That is, below 2 / root rows of the first; at most 400.
+    """
     left = [channel.left(columns, d, a.reshape(-1, 3)) for channel in rows.channels]
-    square = sum(float(e @ e) for e in left)
-    if square <= 0.0:
-        return 1.0
-    total, least = 0.0, 2.0 / np.sqrt(rows.count)
+    found = [sum(float(e @ e) for e in left)]
+    least = 2.0 / np.sqrt(rows.count) * found[0]
     for lag in range(1, min(_MOST_LAGS, len(left[0]) - 1) + 1):
-        correlation = sum(float(e[lag:] @ e[:-lag]) for e in left) / square
-        if correlation < least:
+        found.append(sum(float(e[lag:] @ e[:-lag]) for e in left))
+        if found[-1] < least:
             break
-        total += correlation
-    return 1.0 / (1.0 + 2.0 * total)
+    return np.array(found)
+
+
+def share_of(correlations: Floats, count: int) -> float:
+    """Return k = 1 / (1 + 2 sum of the autocorrelations) of ``count`` rows, until the first below 2 / root rows."""
+    below = np.flatnonzero(correlations < 2.0 / np.sqrt(count))
+    kept = correlations[: below[0]] if len(below) else correlations
+    return float(1.0 / (1.0 + 2.0 * float(np.sum(kept))))
 
 
 def held_out(about: LockedModel, folds: NDArray[np.intp], o: Observations) -> Floats:
