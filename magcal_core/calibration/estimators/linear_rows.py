@@ -182,7 +182,7 @@ class Rows:
         total = np.zeros((len(starts), q + 3 * t + 1, q + 3 * t + 1))
         for channel in self.channels:
             at = np.concatenate([channel.places, q + channel.terms_at(t), [q + 3 * t]])
-            total[:, at[:, None], at] += _block_products(channel, columns, starts)
+            total[:, at[:, None], at] += block_products(channel, columns, starts)
         return Moments(total, q)
 
     def moved(self, d: Floats) -> tuple[Floats, Parameters]:
@@ -206,7 +206,7 @@ class Rows:
         return matrix, moved
 
 
-def _block_products(channel: Channel, columns: Floats, starts: NDArray[np.intp]) -> Floats:
+def block_products(channel: Channel, columns: Floats, starts: NDArray[np.intp]) -> Floats:
     """Return the products of (J, F, y) with themselves, summed over each block, shape (m, w, w)."""
     edges = [*starts.tolist(), len(channel.y)]
     c, axes, t = channel.jacobian.shape[1], channel.carriers.shape[1], columns.shape[1]

@@ -25,13 +25,9 @@ from magcal_core.calibration.estimators.contract import Fit
 from magcal_core.calibration.estimators.scalar_kernel import accumulate_blocks, residuals
 from magcal_core.calibration.estimators.vector import axis_sums
 from magcal_core.calibration.refit.block_sums import BlockSums
-from magcal_core.calibration.refit.hidden_errors import (
-    Choice,
-    LockedSums,
-    ReferenceSums,
-    locked_sums,
-    reference_sums,
-)
+from magcal_core.calibration.refit.choice import Choice
+from magcal_core.calibration.refit.locked_sums import LockedSums, locked_sums
+from magcal_core.calibration.refit.reference_sums import ReferenceSums, reference_sums
 from magcal_core.calibration.terms.locked import LockedTerms
 from magcal_core.calibration.uncertainty.consider_errors import ReferenceErrors, ReferenceShift
 from magcal_core.calibration.uncertainty.honest_covariance import covered_s

@@ -111,12 +111,14 @@ def largest_terms(reduced: Reduced) -> Floats:
     return np.asarray(np.linalg.solve(reduced.m + np.eye(len(reduced.v)) / _LARGEST**2, reduced.v), np.float64)
 
 
-def products_of(rows: Rows, columns: Floats, d: Floats, a: Floats) -> Floats:
+def products_of(rows: Rows, columns: Floats, d: Floats, a: Floats, over: Floats | None = None) -> Floats:
     """Return sums of products of y - J d - F a with itself at lags of 0, 1, ..., up to the first that is noise.
 
-    That is, below 2 / root rows of the first; at most 400.
+    That is, below 2 / root rows of the first; at most 400. ``over``, shape (channels,): what divides each channel.
     """
     left = [channel.left(columns, d, a.reshape(-1, 3)) for channel in rows.channels]
+    if over is not None:
+        left = [e / deviation for e, deviation in zip(left, over, strict=True)]
     found = [sum(float(e @ e) for e in left)]
     least = 2.0 / np.sqrt(rows.count) * found[0]
     for lag in range(1, min(_MOST_LAGS, len(left[0]) - 1) + 1):
