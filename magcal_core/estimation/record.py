@@ -197,7 +197,11 @@ def _moments(estimate: Estimate, judgement: Judgement, *, for_refits: bool) -> F
     fitted = len(estimate.fit.parameters.regressors)
     offered = dict(list(others.items())[: max(MAX_COLUMNS - fitted, 0)])
     o = replace(o, regressors={**o.regressors, **offered})
-    if clock is None and referenced.has_orbit:
+    if clock is None and referenced.has_orbit and not for_refits:
+        # Nobody asks for the clock then; it keeps its place, so that blocks are cut as ever.
+        base = None if o.b_base_nt is None else np.zeros((len(o), 1, 3))
+        o = replace(o, rate_nt_s=np.zeros((len(o), 1)), rate_base_nt_s=base)
+    elif clock is None and referenced.has_orbit:
         # An ephemeris or an index that ends with the telemetry says nothing of what another clock would have.
         with suppress(OrbitMissingError, IndexRangeError):
             o = with_rates(o, referenced.movable(estimate.usable, ()).at)

@@ -32,7 +32,7 @@ SAME_ERROR = 0.05
 OTHER_ERROR = 0.5
 """And where it is another, or blocks are cut elsewhere: they rest on its lowest frequencies, of which there are few."""
 SPAN_ERROR = 1.5
-"""And where a span is gone: the lowest frequencies of the rest are others. Larger by this share at most, not smaller."""
+"""And where a span is gone: the lowest frequencies of the rest are others. At most larger by this share."""
 DRIFT_NT = np.array([12.0, -8.0, 4.0])
 MIDDLE = slice(200, 300)
 
