@@ -15,7 +15,7 @@ import zipfile
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -188,6 +188,9 @@ class FitMoments:
             "samples": self.samples,
             "duration_s": self.duration_s,
         }
+        hidden: dict[str, Any] = {}
+        for one in (self.locked, self.reference):
+            hidden |= {} if one is None else one.parts()
         written = io.BytesIO()
         np.savez(
             written,
@@ -204,8 +207,7 @@ class FitMoments:
             begins=self.begins.astype("datetime64[ns]").astype(np.int64),
             ends=self.ends.astype("datetime64[ns]").astype(np.int64),
             trusted=self.trusted,
-            **({} if self.locked is None else self.locked.parts()),
-            **({} if self.reference is None else self.reference.parts()),
+            **hidden,
         )
         return written.getvalue()
 

@@ -96,7 +96,7 @@ def hidden_errors(
     fit = _as_fit(o, at, is_vector=is_vector)
     channels = 3 if is_vector else 1
     rows = rows_of(o, fit, sigmas_nt=[sigma_nt] * channels)
-    back = np.linalg.inv(rows.unknowns.to_parameters(rows.matrix))
+    back = np.asarray(np.linalg.inv(rows.unknowns.to_parameters(rows.matrix)), np.float64)
     columns, errors = session.columns(o, fit), session.reference()
     p = len(back)
     locked = np.zeros((p, p))
