@@ -22,7 +22,7 @@ class RefitOptions:
     Attributes
     ----------
     regressors : tuple of str, or ``auto``, optional
-        Columns that move the bias; ``auto``: those that unseen blocks bear out. Those of the fit unless given.
+        Columns that move the bias; ``auto``: those that unseen blocks support. Those of the fit unless given.
     time_offset : bool, optional
         Whether the clock's offset is an unknown. As in the fit unless given.
     without : tuple of (begin, end)

@@ -230,7 +230,7 @@ def _solved(base: BlockSums, take: NDArray[np.intp]) -> Floats:
 
 
 def _chosen(problem: _Problem) -> tuple[tuple[str, ...], tuple[Ablation, ...]]:
-    """Return the regressors that unseen blocks bear out, one after the other, and every model that was tried."""
+    """Return the regressors that unseen blocks support, one after the other, and every model that was tried."""
     names: tuple[str, ...] = ()
     rows = [problem.tried(names)]
     while len(names) < MAX_TERMS:

@@ -153,7 +153,7 @@ def locked_terms(
     Parameters
     ----------
     observations, fit
-        The fit and what it was made of; with the fall of the reference where the clock is an unknown.
+        The fit and what it was made of; with the derivative of the reference where the clock is an unknown.
     duration_s : float
         Time that the samples cover, s.
     kind : {"fit", "clock", "full"}

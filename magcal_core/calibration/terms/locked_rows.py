@@ -16,7 +16,7 @@ from magcal_core.calibration.terms.evidence import Reduced
 from magcal_core.calibration.terms.locked_columns import LockedColumns
 from magcal_core.calibration.terms.locked_posterior import Posterior
 from magcal_core.calibration.uncertainty.cross_validation import folds_of
-from magcal_core.numerics.linear_algebra import scaled_inverse
+from magcal_core.numerics.linear_algebra import scaled_inverse, scaled_solution
 from magcal_core.observations import Observations
 
 CLIP: Final = 6.0
@@ -24,7 +24,7 @@ CLIP: Final = 6.0
 _LEAST_ROWS: Final = 5
 _MOST_LAGS: Final = 400
 _LARGEST: Final = 3.0
-"""Size of every family under which all terms are taken off before the memory of the rest is told."""
+"""Size of every family under which all terms are taken off before the memory of the rest is estimated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,9 +164,8 @@ def held_out(about: LockedModel, folds: NDArray[np.intp], o: Observations) -> Fl
 
 def _solved(normal: Floats, right: Floats) -> Floats | None:
     """Return the solution under a unit diagonal; None where the rest of the data does not determine it."""
-    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     try:
-        return np.asarray(np.linalg.solve(normal / np.outer(size, size), right / size) / size)
+        return scaled_solution(normal, right)
     except np.linalg.LinAlgError:
         return None
 
