@@ -27,7 +27,8 @@ from magcal_core.calibration.estimators.contract import Fit, FitSettings
 from magcal_core.calibration.estimators.registry import ESTIMATORS
 from magcal_core.calibration.estimators.scalar_kernel import accumulate
 from magcal_core.calibration.refit.moments import FitMoments
-from magcal_core.calibration.refit.refit import RefitOptions, refit
+from magcal_core.calibration.refit.outcome import RefitOptions
+from magcal_core.calibration.refit.refit import refit
 from magcal_core.calibration.sessions.monitoring import ActiveSet, judge_moments, judge_session, moments_of
 from magcal_core.calibration.terms.clock import fit_with_clock
 from magcal_core.calibration.terms.regressor_selection import choose_regressors

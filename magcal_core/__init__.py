@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from magcal_core.calibration.refit.moments import FitMoments as FitMoments
-    from magcal_core.calibration.refit.refit import RefitOptions as RefitOptions
+    from magcal_core.calibration.refit.outcome import RefitOptions as RefitOptions
     from magcal_core.calibration.refit.refit import refit as refit
     from magcal_core.calibration.result import Calibration as Calibration
     from magcal_core.calibration.sessions.trend import Trend as Trend
@@ -48,7 +48,7 @@ _HOME: Final[dict[str, str]] = {
     "Index": "field.index",
     "NumericalOrbit": "orbit.propagators.numerical",
     "OemOrbit": "orbit.messages.oem",
-    "RefitOptions": "calibration.refit.refit",
+    "RefitOptions": "calibration.refit.outcome",
     "Samples": "samples",
     "SensorModel": "sensor.model",
     "Sgp4Orbit": "orbit.propagators.sgp4",

@@ -92,7 +92,8 @@ def calibrate(
     diagnosis = diagnosed(estimate, judgement, candidates)
     tell(0.95)
     needs_moments = with_moments or wants_moments(chosen)
-    calibration = calibration_of(estimate, with_cause(judgement, diagnosis), diagnosis, with_moments=needs_moments)
+    judgement = with_cause(judgement, diagnosis)
+    calibration = calibration_of(estimate, judgement, diagnosis, with_moments=needs_moments, for_refits=with_moments)
     moments = calibration.moments
     if not with_moments:
         calibration = replace(calibration, moments=None)

@@ -16,7 +16,10 @@ from magcal_core.calibration.sessions.joint import DEFAULT_SHARED, JointFit, joi
 from magcal_core.calibration.sessions.monitoring import ActiveSet, SessionJudgement, judge_session
 from magcal_core.calibration.sessions.two_magnetometers import Comparison, CorrectedReadings, compare_magnetometers
 from magcal_core.errors import EstimationError, OptionError
+from magcal_core.estimation.session import LockedSession
+from magcal_core.estimation.surrounded_session import SurroundedSession
 from magcal_core.field import FieldModel
+from magcal_core.field.external_knowledge import ExternalKnowledge
 from magcal_core.field.models import field_model
 from magcal_core.field.sources import FieldSources
 from magcal_core.observations import Observations, corrected_nt
@@ -63,12 +66,14 @@ def calibrate_jointly(
     if any(map(is_of_scale, chosen.regressors)):
         raise OptionError("regressors: a joint calibration takes those of the bias, not those of the scale")
     is_vector = is_vector_method(chosen.method)
-    observed, begun = [], []
+    observed, begun, surrounded = [], [], []
     for samples in sessions.values():
         referenced = Referenced.of(samples, orbits, chosen, sources)
         usable = referenced.usable(chosen.regressors, is_vector)
+        known_clock = bool(time_offset_s) and referenced.has_orbit
+        surrounded.append(SurroundedSession.of(referenced, usable, chosen, is_vector, is_clock_known=known_clock))
         begun.append(referenced.samples.t_utc[usable].min() if TIME_REGRESSOR not in samples.housekeeping else None)
-        if time_offset_s and referenced.has_orbit:
+        if known_clock:
             shift_s = np.full(int(np.count_nonzero(usable)), time_offset_s)
             observed.append(referenced.shifted(usable, chosen.regressors, shift_s))
         else:
@@ -77,7 +82,7 @@ def calibrate_jointly(
     if begin is not None and TIME_REGRESSOR in chosen.regressors:
         observed = [_since_begin(o, one, begin) for o, one in zip(observed, begun, strict=True)]
     robust = _shared_loss(observed, chosen.robust, is_vector=is_vector)
-    fit = joint_fit(observed, list(sessions), shared=shared, is_vector=is_vector, robust=robust)
+    fit = joint_fit(observed, list(sessions), shared=shared, is_vector=is_vector, robust=robust, surrounded=surrounded)
     return fit if TIME_REGRESSOR not in chosen.regressors else fit.with_time_base(begin)
 
 
@@ -128,7 +133,7 @@ def monitor(
     active = ActiveSet.from_record(record)
     offset_s = active.parameters.time_offset_s or 0.0
     field = field_of_record(record, sources)
-    filled, _ = with_reference(
+    filled, report = with_reference(
         in_time_order(samples), orbits, field, time_offset_s=offset_s, max_orbit_age_days=max_orbit_age_days
     )
     usable = filled.is_used & np.isfinite(_reference_of(filled, is_vector=active.is_vector))
@@ -136,7 +141,11 @@ def monitor(
     active = _since(active, filled, usable)
     columns = list(active.parameters.regressors)
     observations = Observations.of(oriented(filled, usable), columns, usable.astype(np.float64))
-    return judge_session(observations, active)
+    external = ExternalKnowledge.of(field, FieldSources() if sources is None else sources)
+    session = LockedSession(Referenced(filled, report, orbits, field, external), usable, active.is_vector)
+    is_asked = _option(record, "locked_terms", "auto") == "auto"
+    is_clock_known = active.parameters.time_offset_s is not None
+    return judge_session(observations, active, SurroundedSession(session, is_asked, is_clock_known))
 
 
 def field_of_record(record: Mapping[str, object], sources: FieldSources | None = None) -> FieldModel:
@@ -147,10 +156,15 @@ def field_of_record(record: Mapping[str, object], sources: FieldSources | None =
     IndexMissingError, OptionError
         ``sources`` lack the index or the file that it needs.
     """
+    gap = _option(record, "index_gap", "refuse")
+    return field_model(str(record.get("field_model", "igrf")), index_gap=str(gap), sources=sources)
+
+
+def _option(record: Mapping[str, object], name: str, default: str) -> object:
+    """Return an option of the job that a parameter set is of."""
     provenance = record.get("provenance")
     options = provenance.get("options") if isinstance(provenance, Mapping) else None
-    gap = options.get("index_gap", "refuse") if isinstance(options, Mapping) else "refuse"
-    return field_model(str(record.get("field_model", "igrf")), index_gap=str(gap), sources=sources)
+    return options.get(name, default) if isinstance(options, Mapping) else default
 
 
 def _since(active: ActiveSet, samples: Samples, usable: NDArray[np.bool_]) -> ActiveSet:

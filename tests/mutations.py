@@ -140,12 +140,12 @@ FAULTS: Final[dict[str, Fault]] = {
         (f"{CORE_TESTS}/uncertainty/test_low_frequencies.py",),
     ),
     "angles-of-the-field-error": Fault(
-        "magcal_core/calibration/field_error.py", "    jacobian[3:] = np.rad2deg(jacobian[3:])\n", "",
-        (f"{CORE_TESTS}/test_field_error.py",),
+        f"{UNCERTAINTY}/field_error.py", "    jacobian[3:] = np.rad2deg(jacobian[3:])\n", "",
+        (f"{CORE_TESTS}/uncertainty/test_field_error.py",),
     ),
     "bias-of-the-field-error": Fault(
-        "magcal_core/calibration/field_error.py", "    back[6:9, 0:3] = np.eye(3)\n", "",
-        (f"{CORE_TESTS}/test_field_error.py",),
+        f"{UNCERTAINTY}/field_error.py", "    back[6:9, 0:3] = np.eye(3)\n", "",
+        (f"{CORE_TESTS}/uncertainty/test_field_error.py",),
     ),
     "errors-of-one-alone": Fault(
         f"{VERDICT}/agreement.py", "covariance[:_COMPARED, :_COMPARED] + active", "active",

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from magcal_core.calibration.refit.moments import FitMoments
-    from magcal_core.calibration.refit.refit import RefitOptions
+    from magcal_core.calibration.refit.outcome import RefitOptions
 
 router = APIRouter(route_class=StrictJsonRoute, prefix="/parameter-sets", tags=["parameter sets"])
 
@@ -117,7 +117,10 @@ class RefitRead(Record):
 
     parameter_set_id: str
     parameters: ParametersRead
-    standard_errors: ParametersRead = Field(description="Under correlated residuals, of what the blocks show.")
+    standard_errors: ParametersRead = Field(
+        description="As a new calibration has them: under correlated residuals, beside errors locked to the orbit, and "
+        "with errors of the reference."
+    )
     changes: list[ParameterChangeRead]
     rms_nt: float | None = Field(description="Residual of the refit, weighted.")
     cross_validated_rms_nt: float | None = Field(
@@ -129,6 +132,10 @@ class RefitRead(Record):
     ablation: list[RefitModelRead] = Field(description="Models that were tried, one of them selected.")
     time_offset: RefitClockRead | None = Field(description="Null where the clock is no unknown.")
     bootstrap: RefitBootstrapRead | None = Field(description="Null where none was asked for.")
+    warnings: list[str] = Field(
+        description="What the standard errors do not contain: `hidden_errors_not_kept` for a set from before moments "
+        "had errors locked to the orbit and errors of the reference, `clock_held` where its clock stays as it is."
+    )
 
 
 @router.get("/{parameter_set_id}/refit")
@@ -145,7 +152,7 @@ def get_refit(
 
 
 def _options(query: RefitQuery) -> RefitOptions:
-    from magcal_core.calibration.refit.refit import RefitOptions
+    from magcal_core.calibration.refit.outcome import RefitOptions
 
     asked = query.regressors
     names = None if asked is None else tuple(dict.fromkeys(name for one in asked.split(",") if (name := one.strip())))

@@ -33,9 +33,13 @@ from magcal_core.sensor.regressors import is_of_scale
 
 
 def calibration_of(
-    estimate: Estimate, judged: Judged, diagnosis: Diagnosis | None, *, with_moments: bool
+    estimate: Estimate, judged: Judged, diagnosis: Diagnosis | None, *, with_moments: bool, for_refits: bool = True
 ) -> Calibration:
-    """Return the calibration; ``with_moments``: with the moments of its fit, where its method has them."""
+    """Return the calibration.
+
+    ``with_moments``: with the moments of its fit, where its method has them; ``for_refits``: with what refits need of
+    hidden errors in them.
+    """
     fit, judgement, referenced = estimate.fit, judged.judgement, estimate.prepared.referenced
     parameters, samples = fit.parameters, referenced.samples
     names = len(parameters.names)
@@ -68,7 +72,7 @@ def calibration_of(
         orbits=referenced.report.orbits,
         sources=_field_provenance(referenced, estimate.options),
         extras={**_extras(estimate, judged, diagnosis), "device_steps": steps},
-        moments=_moments(estimate, judgement) if with_moments else None,
+        moments=_moments(estimate, judgement, for_refits=for_refits) if with_moments else None,
     )
 
 
@@ -175,7 +179,7 @@ def _budget(estimate: Estimate, judgement: Judgement) -> list[dict[str, object]]
     return [item.to_dict() for item in found]
 
 
-def _moments(estimate: Estimate, judgement: Judgement) -> FitMoments | None:
+def _moments(estimate: Estimate, judgement: Judgement, *, for_refits: bool) -> FitMoments | None:
     """Return the moments of the fit, with every column that all its samples have.
 
     None where its method has none, or where the scale has regressors: moments at fixed slopes would hide their errors.
@@ -190,7 +194,11 @@ def _moments(estimate: Estimate, judgement: Judgement) -> FitMoments | None:
     fitted = len(estimate.fit.parameters.regressors)
     offered = dict(list(others.items())[: max(MAX_COLUMNS - fitted, 0)])
     o = replace(o, regressors={**o.regressors, **offered})
-    if clock is None and referenced.has_orbit:
+    if clock is None and referenced.has_orbit and not for_refits:
+        # Nobody asks for the clock then; it keeps its place, so that blocks are cut as ever.
+        base = None if o.b_base_nt is None else np.zeros((len(o), 1, 3))
+        o = replace(o, rate_nt_s=np.zeros((len(o), 1)), rate_base_nt_s=base)
+    elif clock is None and referenced.has_orbit:
         # An ephemeris or an index that ends with the telemetry says nothing of what another clock would have.
         with suppress(OrbitMissingError, IndexRangeError):
             o = with_rates(o, referenced.movable(estimate.usable, ()).at)
@@ -202,8 +210,12 @@ def _moments(estimate: Estimate, judgement: Judgement) -> FitMoments | None:
         o = estimate.prepared.session.with_rates(o, clock.offset_s)
     t_utc = samples.t_utc[estimate.usable]
     plain = estimate.fit if estimate.trust is None else estimate.trust.plain
-    made = moments_of_fit(o, plain, t_utc, judgement.reference, is_clock_fitted=is_clock_fitted)
-    if estimate.trust is None or estimate.trust.terms is None:
+    # A clock that is fitted takes up that the orbit is late; a refit may hold it, and considers that in its place.
+    errors = estimate.prepared.session.errors(None if is_clock_fitted or clock is None else clock.offset_error_s)
+    terms = None if estimate.trust is None else estimate.trust.terms
+    hidden = (errors, terms) if for_refits else (None, None)
+    made = moments_of_fit(o, plain, t_utc, judgement.reference, *hidden, is_clock_fitted=is_clock_fitted)
+    if terms is None:
         return made
     return replace(made, trusted=np.stack([estimate.fit.parameters.vector, judgement.standard_errors.vector]))
 

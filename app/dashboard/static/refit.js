@@ -19,6 +19,7 @@ function shown(record, found) {
   const errors = { "standard error": found.standard_errors, ...(bootstrap ? { "bootstrap error": bootstrap.standard_errors } : {}) };
   const columns = Object.entries(errors).map(([heading, of]) => number(heading, (name) => valueOf(of, name), digits));
   return [
+    ...found.warnings.map((text) => h("p", { class: "muted" }, text)),
     tiles(["residual RMS", nt(found.rms_nt), `${nt(record.statistics.after.rms_nt)} in the set`],
       ["cross-validated", nt(found.cross_validated_rms_nt), `${nt(record.statistics.cross_validated_rms_nt)} in the set`],
       ["samples", fixed(found.samples, 0), `${fixed(100 * found.left_out_share, 1)} % left out`],

@@ -182,7 +182,7 @@ class Rows:
         total = np.zeros((len(starts), q + 3 * t + 1, q + 3 * t + 1))
         for channel in self.channels:
             at = np.concatenate([channel.places, q + channel.terms_at(t), [q + 3 * t]])
-            total[:, at[:, None], at] += _block_products(channel, columns, starts)
+            total[:, at[:, None], at] += block_products(channel, columns, starts)
         return Moments(total, q)
 
     def moved(self, d: Floats) -> tuple[Floats, Parameters]:
@@ -206,21 +206,35 @@ class Rows:
         return matrix, moved
 
 
-def _block_products(channel: Channel, columns: Floats, starts: NDArray[np.intp]) -> Floats:
+def block_products(channel: Channel, columns: Floats, starts: NDArray[np.intp]) -> Floats:
     """Return the products of (J, F, y) with themselves, summed over each block, shape (m, w, w)."""
     edges = [*starts.tolist(), len(channel.y)]
     c, axes, t = channel.jacobian.shape[1], channel.carriers.shape[1], columns.shape[1]
     width = c + axes * t + 1
     found = np.zeros((len(starts), width, width))
-    for block, (first, last) in enumerate(itertools.pairwise(edges)):
+    # Of short blocks many share a design: making one costs more than its product.
+    for group in _groups(edges):
+        first, last = edges[group.start], edges[group.stop]
         for i in range(first, last, _CHUNK):
             part = slice(i, min(i + _CHUNK, last))
             design = np.empty((part.stop - i, width))
             design[:, :c], design[:, -1] = channel.jacobian[part], channel.y[part]
             terms = columns[part, :, None] * channel.carriers[part, None, :]
             design[:, c:-1] = terms.reshape(len(design), -1)
-            found[block] += design.T @ design
+            for block in range(group.start, group.stop):
+                own = design[max(edges[block] - i, 0) : max(edges[block + 1] - i, 0)]
+                found[block] += own.T @ own
     return found
+
+
+def _groups(edges: Sequence[int]) -> list[slice]:
+    """Return blocks that follow each other with at most `_CHUNK` rows together; a longer one stands alone."""
+    found, first = [], 0
+    for block in range(1, len(edges) - 1):
+        if edges[block + 1] - edges[first] > _CHUNK:
+            found.append(slice(first, block))
+            first = block
+    return [*found, slice(first, len(edges) - 1)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,7 @@ import zipfile
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,12 @@ from magcal_core.arrays import Floats, Times
 from magcal_core.calibration.estimators.contract import Fit
 from magcal_core.calibration.estimators.scalar_kernel import accumulate_blocks, residuals
 from magcal_core.calibration.estimators.vector import axis_sums
-from magcal_core.calibration.uncertainty.consider_errors import ReferenceShift
+from magcal_core.calibration.refit.block_sums import BlockSums
+from magcal_core.calibration.refit.choice import Choice
+from magcal_core.calibration.refit.locked_sums import LockedSums, locked_sums
+from magcal_core.calibration.refit.reference_sums import ReferenceSums, reference_sums
+from magcal_core.calibration.terms.locked import LockedTerms
+from magcal_core.calibration.uncertainty.consider_errors import ReferenceErrors, ReferenceShift
 from magcal_core.calibration.uncertainty.honest_covariance import covered_s
 from magcal_core.errors import MomentsError
 from magcal_core.numerics.linear_algebra import scaled_inverse
@@ -46,43 +51,10 @@ _BLOCKS: Final = (24, 96)
 """Fewest and most blocks with a normal matrix; where the fit has more blocks, neighbours share one."""
 _ENTRIES: Final = 12_000
 """Entries of all normal matrices, 50 kB, that a file is to have at most: the more unknowns, the fewer blocks."""
-_FORM: Final = 1
+_FORM: Final = 2
+_OLD_FORM: Final = 1
+"""That of moments that do not know of hidden errors."""
 _LOWER: Final = np.tril_indices(3)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BlockSums:
-    """Sums over blocks, in the fit's own unknowns q: normals (m, q, q), scores (m, q), costs (m,), nT^2, weights (m,).
-
-    The scores are those of the residual's derivative: half the gradient of the cost.
-    """
-
-    normals: Floats
-    scores: Floats
-    costs: Floats
-    weights: Floats
-
-    def moved(self, step: Floats) -> BlockSums:
-        """Return the sums after the unknowns have moved by ``step``, shape (q,)."""
-        along = self.normals @ step
-        costs = self.costs + 2.0 * self.scores @ step + along @ step
-        return replace(self, scores=self.scores + along, costs=np.maximum(costs, 0.0))
-
-    def together(self, firsts: NDArray[np.intp]) -> BlockSums:
-        """Return the sums of neighbours, which begin at the blocks ``firsts``."""
-        return BlockSums(
-            np.add.reduceat(self.normals, firsts, axis=0),
-            np.add.reduceat(self.scores, firsts, axis=0),
-            np.add.reduceat(self.costs, firsts),
-            np.add.reduceat(self.weights, firsts),
-        )
-
-    def weighed(self, shares: Floats) -> BlockSums:
-        """Return the sums with each block counted ``shares``, shape (m,), times."""
-        by_row = shares[:, None]
-        return BlockSums(
-            self.normals * by_row[:, :, None], self.scores * by_row, self.costs * shares, self.weights * shares
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,8 +89,13 @@ class FitMoments:
         Count, and time that they cover, s.
     trusted : shape (2, p)
         Parameters of the calibration, with the regressors that are fitted and the clock last, and their standard
-        errors: beside errors that are locked to the orbit, of which the moments know nothing. Of no columns where the
-        moments say all.
+        errors beside errors that are locked to the orbit. Of no columns where there are none.
+    locked : LockedSums, optional
+        Errors locked to the orbit, where the calibration considered any.
+    reference : ReferenceSums, optional
+        Errors of the reference, where it came from an orbit.
+    is_old : bool
+        Whether the moments are from before they had these: what they tell of another model's errors may be too small.
     """
 
     is_vector: bool
@@ -141,6 +118,9 @@ class FitMoments:
     samples: int
     duration_s: float
     trusted: Floats = field(default_factory=lambda: np.zeros((2, 0)))
+    locked: LockedSums | None = None
+    reference: ReferenceSums | None = None
+    is_old: bool = False
 
     @property
     def firsts(self) -> NDArray[np.intp]:
@@ -163,6 +143,12 @@ class FitMoments:
         """Return where, among all unknowns, those of a model with the regressors ``names`` stand."""
         slopes = [9 + 3 * self.columns.index(name) + i for name in names for i in range(3)]
         return np.array([*range(9), *slopes, *([self.own.size - 1] if has_clock else [])], np.intp)
+
+    def choice(self, names: Sequence[str], shares: Floats, *, has_clock: bool) -> Choice:
+        """Return the unknowns of a model with the regressors ``names``, each block counted ``shares``, shape (m,)."""
+        columns = [name for name in names if name in self.columns]
+        take = self.unknowns(columns, has_clock=has_clock)
+        return Choice(take, self._columns(), tuple(columns), has_clock, shares, self.sums.weights)
 
     def to_parameters(self, own: Floats) -> Floats:
         """Return the derivative of the reported parameters and the clock, shape (q, q), by the unknowns at ``own``."""
@@ -199,6 +185,9 @@ class FitMoments:
             "samples": self.samples,
             "duration_s": self.duration_s,
         }
+        hidden: dict[str, Any] = {}
+        for one in (self.locked, self.reference):
+            hidden |= {} if one is None else one.parts()
         written = io.BytesIO()
         np.savez(
             written,
@@ -215,6 +204,7 @@ class FitMoments:
             begins=self.begins.astype("datetime64[ns]").astype(np.int64),
             ends=self.ends.astype("datetime64[ns]").astype(np.int64),
             trusted=self.trusted,
+            **hidden,
         )
         return written.getvalue()
 
@@ -231,7 +221,7 @@ class FitMoments:
             with np.load(io.BytesIO(content), allow_pickle=False) as file:
                 part = {name: file[name] for name in file.files}
             head = json.loads(part["head"].tobytes())
-            if head["form"] != _FORM:
+            if head["form"] not in {_OLD_FORM, _FORM}:
                 raise MomentsError(f"the moments have form {head['form']}, this program reads {_FORM}")
             return cls._read(head, part)
         except (ValueError, KeyError, TypeError, OSError, EOFError, zlib.error, zipfile.BadZipFile) as error:
@@ -271,6 +261,9 @@ class FitMoments:
             samples=int(str(head["samples"])),
             duration_s=float(str(head["duration_s"])),
             trusted=part.get("trusted", np.zeros((2, 0))),
+            locked=LockedSums.of_parts(part),
+            reference=ReferenceSums.of_parts(part),
+            is_old=head["form"] == _OLD_FORM,
         )
 
 
@@ -280,14 +273,32 @@ def _firsts(blocks: int, unknowns: int) -> NDArray[np.intp]:
     return np.arange(0, blocks, -(-blocks // groups))
 
 
-def moments_of_fit(
-    observations: Observations, fit: Fit, t_utc: Times, shifts: Sequence[ReferenceShift], *, is_clock_fitted: bool
+def moments_of_fit(  # noqa: PLR0917
+    observations: Observations,
+    fit: Fit,
+    t_utc: Times,
+    shifts: Sequence[ReferenceShift],
+    errors: ReferenceErrors | None = None,
+    terms: LockedTerms | None = None,
+    *,
+    is_clock_fitted: bool,
 ) -> FitMoments:
     """Return the moments of ``fit``, whose method has moments, and which has no regressors of the scale.
 
-    ``observations``: those of the fit, at its clock, with every column that may be asked for among their regressors and
-    the derivative of the reference by the clock's offset, where there is one; ``t_utc``, shape (n,): their times.
-    ``shifts``: what errors of the reference do.
+    Parameters
+    ----------
+    observations : Observations
+        Those of the fit, at its clock, with every column that may be asked for among their regressors and the
+        derivative of the reference by the clock's offset, where there is one.
+    fit : Fit
+    t_utc : shape (n,)
+        Times of the samples.
+    shifts : sequence of ReferenceShift
+        What errors of the reference do.
+    errors, terms : optional
+        These errors themselves, and the locked errors that the calibration considered.
+    is_clock_fitted : bool
+        Whether the clock was an unknown.
     """
     o, at = replace(observations, weights=fit.weights), replace(fit.parameters, time_offset_s=None)
     z = Standardised.of(tuple(o.regressors), list(o.regressors.values()), len(o))
@@ -316,6 +327,12 @@ def moments_of_fit(
         ends=t_utc[np.append(starts[1:], len(o)) - 1],
         samples=int(np.count_nonzero(o.weights > 0)),
         duration_s=covered_s(o.t_s),
+        locked=None
+        if terms is None
+        else locked_sums(
+            observations, fit, terms, starts, is_clock_fitted=is_clock_fitted and bool(observations.rate_nt_s.shape[1])
+        ),
+        reference=None if errors is None else reference_sums(observations, fit, errors, starts),
     )
     # A clock that was found beside locked errors is no unknown of the fit at it.
     take = made.unknowns(made.fitted, has_clock=is_clock_fitted and bool(fit.clock.size))

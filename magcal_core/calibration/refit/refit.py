@@ -11,15 +11,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Final, Literal
+from functools import lru_cache, partial
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.normal_equations import Equations
-from magcal_core.calibration.refit.moments import BlockSums, FitMoments
+from magcal_core.calibration.refit.block_sums import BlockSums
+from magcal_core.calibration.refit.moments import FitMoments
+from magcal_core.calibration.refit.outcome import ParameterChange, Refit, RefitOptions, Span
 from magcal_core.calibration.terms.clock import ClockTest
 from magcal_core.calibration.terms.regressor_selection import MAX_TERMS, Ablation, held_out_cost, is_borne_out
 from magcal_core.calibration.uncertainty.bootstrap import Bootstrap, drawn
@@ -31,95 +33,13 @@ from magcal_core.numerics.blocks import BlockScores
 from magcal_core.numerics.linear_algebra import scaled_inverse
 from magcal_core.sensor.parameters import Parameters
 
-Span = tuple[np.datetime64, np.datetime64]
-
+HIDDEN_ERRORS: Final = (
+    "hidden_errors_not_kept: the moments are from before they had errors locked to the orbit and errors of the "
+    "reference; where this refit is not the set, its errors may be too small: calibrate again"
+)
+"""Warning of a refit from moments of the old form."""
 LEAST_SHARE: Final = 0.1
 """Share of the data that spans of time must leave."""
-
-
-@dataclass(frozen=True, slots=True)
-class RefitOptions:
-    """What is to be different.
-
-    Attributes
-    ----------
-    regressors : tuple of str, or ``auto``, optional
-        Columns that move the bias; ``auto``: those that unseen blocks support. Those of the fit unless given.
-    time_offset : bool, optional
-        Whether the clock's offset is an unknown. As in the fit unless given.
-    without : tuple of (begin, end)
-        Spans of time, UTC, to leave out: to within a block, of which there are 96 at most, 24 with many columns.
-    bootstrap, seed : int
-        Replicates, none unless given, and the seed that they are drawn with.
-    """
-
-    regressors: tuple[str, ...] | Literal["auto"] | None = None
-    time_offset: bool | None = None
-    without: tuple[Span, ...] = ()
-    bootstrap: int = 0
-    seed: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class ParameterChange:
-    """One parameter before and after, with its honest standard error after."""
-
-    parameter: str
-    before: float
-    after: float
-    standard_error: float
-
-    def to_dict(self) -> dict[str, object]:
-        """Return the change as the records have it."""
-        return {
-            "parameter": self.parameter,
-            "before": self.before,
-            "after": self.after,
-            "standard_error": self.standard_error,
-        }
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Refit:
-    """A refit from moments.
-
-    Attributes
-    ----------
-    rms_nt, cross_validated_rms_nt : float
-        Weighted by the fit's weights; on unseen blocks None where the rest does not determine the unknowns.
-    left_out_share : float
-        Share of the weight that the spans took.
-    ablation : tuple of Ablation
-        Models that were tried, the chosen one among them.
-    """
-
-    parameters: Parameters
-    standard_errors: Parameters
-    changes: tuple[ParameterChange, ...]
-    rms_nt: float
-    cross_validated_rms_nt: float | None
-    samples: int
-    blocks: int
-    left_out_share: float
-    ablation: tuple[Ablation, ...]
-    time_offset: ClockTest | None
-    bootstrap: Bootstrap | None
-
-    def to_dict(self) -> dict[str, object]:
-        """Return the refit as the service answers it."""
-        return {
-            "parameters": self.parameters.to_dict(),
-            "standard_errors": self.standard_errors.to_dict(),
-            "changes": [change.to_dict() for change in self.changes],
-            "rms_nt": self.rms_nt,
-            "cross_validated_rms_nt": self.cross_validated_rms_nt,
-            "samples": self.samples,
-            "blocks": self.blocks,
-            "left_out_share": self.left_out_share,
-            "ablation": [row.to_dict() for row in self.ablation],
-            "time_offset": None if self.time_offset is None else self.time_offset.to_dict(),
-            "bootstrap": None if self.bootstrap is None else self.bootstrap.to_dict(),
-        }
 
 
 def refit(moments: FitMoments, options: RefitOptions) -> Refit:
@@ -137,7 +57,7 @@ def refit(moments: FitMoments, options: RefitOptions) -> Refit:
     left_out = 1.0 - float(moments.sums.weights @ shares) / weight
     has_clock = _has_clock(moments, options)
     chosen = moments.fitted if options.regressors is None else options.regressors
-    problem = _Problem(moments, moments.sums.weighed(shares), has_clock)
+    problem = _Problem(moments, moments.sums.weighed(shares), shares, has_clock)
     if chosen == "auto":
         names, ablation = _chosen(problem)
     else:
@@ -146,21 +66,30 @@ def refit(moments: FitMoments, options: RefitOptions) -> Refit:
         ablation = tuple(problem.tried(one) for one in dict.fromkeys([(), names]))
     ablation = tuple(replace(row, is_selected=row.regressors == names) for row in ablation)
     found = _refit(problem, names, ablation, left_out, options)
-    return found if not moments.trusted.size else _trusted(moments, found)
+    found = found if not moments.trusted.size else _trusted(moments, found)
+    return replace(found, warnings=_warnings(moments, found))
+
+
+def _warnings(moments: FitMoments, found: Refit) -> tuple[str, ...]:
+    """Return what the errors do not contain."""
+    warnings = [HIDDEN_ERRORS] if moments.is_old else []
+    if moments.clock_s and not moments.is_clock_fitted and found.time_offset is None:
+        warnings.append(
+            f"clock_held: the clock, found beside waves of the bias or with a drift, stays {moments.clock_s:.3g} s off "
+            "as if it were known; what its own error does to the parameters is in the set's errors alone"
+        )
+    return tuple(warnings)
 
 
 def _trusted(moments: FitMoments, found: Refit) -> Refit:
-    """Return the refit about the calibration, whose locked errors the moments do not know.
+    """Return the refit about the calibration: what a refit of nothing else lacks of it is added to every parameter.
 
     Notes
     -----
-    What a refit of nothing else lacks of the calibration is added to every parameter, and what its errors are too small
-    by multiplies every error: a refit of nothing else is the calibration.
+    And what the errors of a refit of nothing else are too small by multiplies every error, so that such a refit *is*
+    the calibration: one of several steps, with blocks cut finer than the moments have them.
     """
-    has_clock = moments.is_clock_fitted
-    problem = _Problem(moments, moments.sums, has_clock)
-    ablation = (replace(problem.tried(moments.fitted), is_selected=True),)
-    base = _refit(problem, moments.fitted, ablation, 0.0, RefitOptions())
+    base = _nothing_else(moments)
     values, errors = moments.trusted
     names = base.parameters.names[: len(values)]
     known, small = base.parameters.vector[: len(values)], base.standard_errors.vector
@@ -188,6 +117,14 @@ def _trusted(moments: FitMoments, found: Refit) -> Refit:
         moved_s = clock.offset_s + shift.get("time_offset_s", 0.0)
         clock = ClockTest(moved_s, clock_error * wider.get("time_offset_s", 1.0))
     return replace(found, parameters=parameters, standard_errors=standard_errors, changes=changes, time_offset=clock)
+
+
+@lru_cache(maxsize=8)
+def _nothing_else(moments: FitMoments) -> Refit:
+    """Return the refit of nothing else; whoever asks for one mostly asks for others."""
+    problem = _Problem(moments, moments.sums, np.ones(len(moments.sums.costs)), moments.is_clock_fitted)
+    ablation = (replace(problem.tried(moments.fitted), is_selected=True),)
+    return _refit(problem, moments.fitted, ablation, 0.0, RefitOptions())
 
 
 def _shares(moments: FitMoments, without: Sequence[Span]) -> Floats:
@@ -227,10 +164,11 @@ def _has_clock(moments: FitMoments, options: RefitOptions) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Problem:
-    """The moments with the blocks' shares in ``sums``, and whether the clock is an unknown."""
+    """The moments with the blocks' ``shares``, shape (m,), in ``sums``, and whether the clock is an unknown."""
 
     moments: FitMoments
     sums: BlockSums
+    shares: Floats
     has_clock: bool
 
     def require(self, names: Sequence[str]) -> None:
@@ -316,12 +254,12 @@ def _refit(
 ) -> Refit:
     moments, take = problem.moments, problem.unknowns(names)
     removal = problem.removal(names)
-    base = _bent(problem, names).moved(removal)
-    step = _solved(base, take)
-    after, own = base.moved(step), moments.own + removal + step
-    blocks, honest = _honest(problem, after, own, take, left_out)
+    step = _step(problem, names, _bent(problem, names).moved(removal), take)
+    after, own = _bent(problem, names).moved(removal).moved(step), moments.own + removal + step
+    blocks, honest, move = _errors(problem, names, after, own, left_out)
     parameters = moments.parameters(own, names)
     p = parameters.vector.size
+    parameters = parameters.with_vector(parameters.vector + move[:p])
     errors = np.sqrt(np.diag(honest.covariance))
     resampled = None
     if options.bootstrap:
@@ -342,6 +280,35 @@ def _refit(
         time_offset=ClockTest(clock_s, float(errors[-1])) if problem.has_clock else None,
         bootstrap=resampled,
     )
+
+
+def _step(problem: _Problem, names: Sequence[str], base: BlockSums, take: NDArray[np.intp]) -> Floats:
+    """Return the step to the estimate; a clock goes where locked errors leave it, the rest to the minimum there."""
+    locked = problem.moments.locked
+    if locked is None or not problem.has_clock:
+        return _solved(base, take)
+    step = np.zeros(problem.moments.own.size)
+    step[-1] = locked.clock_step_s(problem.moments.choice(names, problem.shares, has_clock=True))
+    return step + _solved(base.moved(step), take[:-1])
+
+
+def _errors(
+    problem: _Problem, names: Sequence[str], after: BlockSums, own: Floats, left_out: float
+) -> tuple[BlockScores, HonestCovariance, Floats]:
+    """Return the blocks at the refit, its covariance beside hidden errors, and how far locked ones move it."""
+    moments = problem.moments
+    take = problem.unknowns(names)
+    blocks, honest = _honest(problem, after, own, take, left_out)
+    choice = moments.choice(names, problem.shares, has_clock=problem.has_clock)
+    covariance, move = honest.covariance, np.zeros(len(take))
+    if moments.locked is not None:
+        locked = moments.locked.errors(choice, moments.duration_s * (1.0 - left_out))
+        covariance, move = locked.covariance, locked.move
+    if moments.reference is not None:
+        shifts = moments.reference.shifts(choice)
+    else:
+        shifts = moments.shifts[:, take] @ moments.to_parameters(own)[np.ix_(take, take)].T
+    return blocks, replace(honest, covariance=covariance + shifts.T @ shifts), move
 
 
 def _bent(problem: _Problem, names: Sequence[str]) -> BlockSums:
@@ -372,11 +339,7 @@ def _honest(
     formal = ratio * moments.noise * jacobian @ scaled_inverse(normals.sum(axis=0)) @ jacobian.T
     blocks = BlockScores(scores, normals, np.arange(int(counts.sum())), jacobian)
     samples = round(moments.samples * (1.0 - left_out))
-    honest = honest_covariance(blocks, formal, samples, moments.duration_s * (1.0 - left_out))
-    covariance = honest.covariance.copy()
-    shifts = moments.shifts[:, take] @ jacobian.T
-    covariance += shifts.T @ shifts
-    return blocks, replace(honest, covariance=covariance)
+    return blocks, honest_covariance(blocks, formal, samples, moments.duration_s * (1.0 - left_out))
 
 
 def _changes(before: Parameters, after: Parameters, errors: Floats) -> tuple[ParameterChange, ...]:

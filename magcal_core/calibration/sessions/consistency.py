@@ -9,11 +9,13 @@ from typing import Final
 
 import numpy as np
 
+from magcal_core.arrays import Floats
+from magcal_core.calibration.estimators.contract import Fit
+from magcal_core.calibration.sessions.hidden_errors import Surrounded, covariance_alone
 from magcal_core.errors import OptionError
 from magcal_core.numerics.linear_algebra import floored_inverse, scaled_solution
+from magcal_core.observations import Observations
 from magcal_core.sensor.parameters import Parameters
-
-Floats = np.typing.NDArray[np.float64]
 
 INCONSISTENT_P: Final = 1e-3
 """Probability, over all comparisons together, below which sessions are said to disagree."""
@@ -170,3 +172,22 @@ def _text(differences: Sequence[ParameterDifference], p_value: float, chi_p: flo
 
 def _unit(parameter: str) -> str:
     return _UNITS.get(parameter.split("[", maxsplit=1)[0], "")
+
+
+def consistency_of_fits(
+    labels: Sequence[str],
+    fits: Sequence[Fit | None],
+    sessions: Sequence[Observations],
+    surrounded: Sequence[Surrounded] | None = None,
+) -> Consistency | None:
+    """Return whether separate fits agree within their honest errors; None where there are not two of them.
+
+    ``surrounded``: what is hidden in each session, where that is known.
+    """
+    around = [None] * len(fits) if surrounded is None else surrounded
+    found = [
+        SessionEstimate(label, fit.parameters, covariance_alone(fit, session, one))
+        for label, fit, session, one in zip(labels, fits, sessions, around, strict=True)
+        if fit is not None
+    ]
+    return consistency(found) if len(found) > 1 else None

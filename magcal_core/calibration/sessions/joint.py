@@ -15,7 +15,12 @@ from magcal_core.calibration.estimators.loss import AUTO, AUTO_LOSS, fit_under_l
 from magcal_core.calibration.estimators.normal_equations import block_equations, equations_at
 from magcal_core.calibration.estimators.scalar import ScalarFit
 from magcal_core.calibration.estimators.vector import VectorFit
-from magcal_core.calibration.sessions.consistency import INCONSISTENT_P, Consistency, SessionEstimate, consistency
+from magcal_core.calibration.sessions.consistency import INCONSISTENT_P, Consistency, consistency_of_fits
+from magcal_core.calibration.sessions.hidden_errors import (
+    Surrounded,
+    hidden_errors,
+    joint_covariance,
+)
 from magcal_core.calibration.uncertainty.honest_covariance import covered_s, honest_covariance
 from magcal_core.errors import EstimationError, Fault, NotObservableError, OptionError
 from magcal_core.numerics.blocks import BlockScores
@@ -101,6 +106,7 @@ def joint_fit(
     shared: Sequence[str] = DEFAULT_SHARED,
     is_vector: bool = False,
     robust: str = "none",
+    surrounded: Sequence[Surrounded] | None = None,
 ) -> JointFit:
     """Return the joint calibration of ``sessions``.
 
@@ -115,6 +121,8 @@ def joint_fit(
         (``bias_nt[1]``) that all sessions have in common.
     is_vector : bool
         Fit the field as a vector; else its magnitude.
+    surrounded : sequence of Surrounded, optional
+        What each session's errors may be locked to, and what its reference may be off by: the errors contain both.
 
     Raises
     ------
@@ -137,7 +145,7 @@ def joint_fit(
         # One loss for all sessions: that of the worst of them.
         robust = "none" if all(fit is None or fit.robust == "none" for fit in alone) else AUTO_LOSS
     problem = _Problem.of(sessions, named, shared, is_vector=is_vector, robust=robust, alone=alone)
-    return _assemble(problem, problem.solve(), alone)
+    return _assemble(problem, problem.solve(), alone, surrounded)
 
 
 def _alone(session: Observations, *, is_vector: bool, robust: str) -> Fit | None:
@@ -314,12 +322,16 @@ def _shared_names(template: Parameters, shared: Sequence[str]) -> frozenset[str]
     return frozenset(name for name, group in groups.items() if name in shared or group in shared)
 
 
-def _assemble(problem: _Problem, solution: _Solution, alone: Sequence[Fit | None]) -> JointFit:
+def _assemble(
+    problem: _Problem, solution: _Solution, alone: Sequence[Fit | None], surrounded: Sequence[Surrounded] | None
+) -> JointFit:
     blocks = problem.blocks(solution)
     total = sum(len(session) for session in problem.sessions)
     formal = _formal(problem, blocks)
     duration_s = sum(covered_s(session.t_s) for session in problem.sessions)
     honest = honest_covariance(blocks, formal, total, duration_s).covariance
+    if surrounded is not None:
+        honest = _with_hidden(problem, solution, honest, formal, surrounded)
     errors = np.sqrt(np.diag(honest))
     sessions = tuple(
         JointSession(
@@ -331,7 +343,7 @@ def _assemble(problem: _Problem, solution: _Solution, alone: Sequence[Fit | None
         )
         for i, label in enumerate(problem.labels)
     )
-    tested = consistency_of_fits(problem.labels, alone, problem.sessions)
+    tested = consistency_of_fits(problem.labels, alone, problem.sessions, surrounded)
     warnings = [
         f"not_observable_alone: {label} does not determine the parameters alone"
         for label, fit in zip(problem.labels, alone, strict=True)
@@ -343,6 +355,25 @@ def _assemble(problem: _Problem, solution: _Solution, alone: Sequence[Fit | None
     return JointFit(sessions, problem.shared, names, solution.values, honest, tested, converged, tuple(warnings))
 
 
+def _with_hidden(
+    problem: _Problem, solution: _Solution, honest: Floats, formal: Floats, surrounded: Sequence[Surrounded]
+) -> Floats:
+    """Return the covariance with what is hidden in each session."""
+    hidden = [
+        hidden_errors(
+            o,
+            problem.parameters(solution.values, i),
+            float(solution.sigmas[i]),
+            formal[np.ix_(problem.places[i], problem.places[i])],
+            surrounded[i],
+            is_vector=problem.is_vector,
+            is_minimum=True,
+        )
+        for i, o in enumerate(solution.weighted)
+    ]
+    return joint_covariance(honest, problem.places, hidden, formal)
+
+
 def _formal(problem: _Problem, blocks: BlockScores) -> Floats:
     """Return the white-noise covariance; what no session determines is refused."""
     normal = blocks.normals.sum(axis=0)
@@ -352,22 +383,6 @@ def _formal(problem: _Problem, blocks: BlockScores) -> Floats:
         hidden = [name for name, dead in zip(problem.names, is_dead, strict=True) if dead] or list(problem.names)
         raise NotObservableError("the sessions together do not determine the parameters", hidden)
     return scaled_inverse(normal)
-
-
-def consistency_of_fits(
-    labels: Sequence[str], fits: Sequence[Fit | None], sessions: Sequence[Observations]
-) -> Consistency | None:
-    """Return whether separate fits agree within their honest errors; None where there are not two of them."""
-    found = [
-        SessionEstimate(
-            label,
-            fit.parameters,
-            honest_covariance(fit.blocks, fit.covariance, len(session), covered_s(session.t_s)).covariance,
-        )
-        for label, fit, session in zip(labels, fits, sessions, strict=True)
-        if fit is not None
-    ]
-    return consistency(found) if len(found) > 1 else None
 
 
 def _disagreements(tested: Consistency, shared: Sequence[str]) -> list[str]:

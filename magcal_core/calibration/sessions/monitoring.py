@@ -9,12 +9,14 @@ from typing import Final
 import numpy as np
 
 from magcal_core.arrays import Floats
-from magcal_core.calibration.estimators.normal_equations import block_equations, equations_at
+from magcal_core.calibration.estimators.normal_equations import block_equations
 from magcal_core.calibration.estimators.registry import is_vector_method
 from magcal_core.calibration.estimators.scale_terms import without_scale_terms
 from magcal_core.calibration.reasons import Reason
 from magcal_core.calibration.sessions.consistency import ParameterDifference
 from magcal_core.calibration.sessions.field_change import field_change
+from magcal_core.calibration.sessions.hidden_errors import HiddenErrors, Surrounded, hidden_errors
+from magcal_core.calibration.sessions.noise_score import noise_score
 from magcal_core.calibration.uncertainty.honest_covariance import covered_s, honest_covariance
 from magcal_core.errors import InputError, OptionError
 from magcal_core.numerics.blocks import BlockScores
@@ -34,8 +36,6 @@ MATERIAL_SHARE: Final = 0.01
 _BLOCKS: Final = 64
 _PRIOR: Final[Mapping[str, float]] = {"bias_nt": 2e4, "scale": 0.3, "nonorthogonality_deg": 20.0}
 """How far a parameter may have drifted at all: only there to keep what a session does not show from running away."""
-_NOISE_STEP: Final = 1e-3
-"""Step of the reading, as a share of the field, that derivatives of the scores are taken over."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,6 +118,8 @@ class SessionMoments:
     blocks : scores and normal matrices of short blocks, in those parameters.
     noise_score : shape (p,)
         What noise of 1 nT in each component adds to the sum of the scores in the mean, 1/nT^2.
+    hidden : HiddenErrors, optional
+        What no residual of the session shows.
     samples, duration_s, cost, mean_nt, rms_nt, mean_field_nt
         Count; time that they cover, s; sum of squares, nT^2; mean and RMS of the residual, and mean |B|, nT.
     """
@@ -131,6 +133,7 @@ class SessionMoments:
     mean_nt: float
     rms_nt: float
     mean_field_nt: float
+    hidden: HiddenErrors | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,8 +181,12 @@ class SessionJudgement:
         }
 
 
-def moments_of(observations: Observations, parameters: Parameters, *, is_vector: bool) -> SessionMoments:
+def moments_of(
+    observations: Observations, parameters: Parameters, *, is_vector: bool, surrounded: Surrounded | None = None
+) -> SessionMoments:
     """Return a session's normal equations at ``parameters``, whose regressors the observations must have.
+
+    ``surrounded``: what its errors may be locked to and what its reference may be off by, where that is known.
 
     Raises
     ------
@@ -196,10 +203,10 @@ def moments_of(observations: Observations, parameters: Parameters, *, is_vector:
     whole, blocks = block_equations(o, at, is_vector=is_vector, blocks=_BLOCKS)
     r = residuals_nt(o, at, is_vector)
     used = o.weights > 0
-    return SessionMoments(
+    made = SessionMoments(
         at=at,
         blocks=blocks,
-        noise_score=_noise_score(o, at, whole.gradient, is_vector=is_vector),
+        noise_score=noise_score(o, at, whole.gradient, is_vector=is_vector),
         samples=int(np.count_nonzero(used)),
         duration_s=covered_s(o.t_s),
         cost=whole.cost,
@@ -207,34 +214,26 @@ def moments_of(observations: Observations, parameters: Parameters, *, is_vector:
         rms_nt=float(np.sqrt(np.mean(r[used] ** 2))),
         mean_field_nt=float(o.b_nt[used].mean()),
     )
+    if surrounded is None or made.samples < MIN_SAMPLES:
+        return made
+    _, _, variance, inverse = _settled(made, made.samples * (3 if is_vector else 1))
+    # The rows stand over the deviation that one step leaves.
+    sigma_nt = float(np.sqrt(variance))
+    hidden = hidden_errors(o, at, sigma_nt, inverse * variance, surrounded, is_vector=is_vector, is_minimum=False)
+    return replace(made, hidden=hidden)
 
 
-def _noise_score(o: Observations, at: Parameters, score: Floats, *, is_vector: bool) -> Floats:
-    """Return what noise of 1 nT in each component adds to the sum of scores, of ``score`` now, in the mean.
-
-    Notes
-    -----
-    1/2 sum over axes of the second derivative of the score by the reading, by differences. |B| is not linear in the
-    reading: where a session hardly shows a combination of parameters, noise moves it the same way in every sample. The
-    residual of a vector calibration is linear, its derivatives have no noise.
-    """
-    if is_vector:
-        return np.zeros_like(score)
-    step_nt = _NOISE_STEP * float(o.b_nt.mean())
-    total = np.zeros_like(score)
-    for axis in range(3):
-        for sign in (1.0, -1.0):
-            moved = replace(o, h_nt=o.h_nt + sign * step_nt * np.eye(3)[axis])
-            total += equations_at(moved, at, is_vector=False).gradient - score
-    return np.asarray(0.5 * total / step_nt**2)
-
-
-def judge_session(observations: Observations, active: ActiveSet) -> SessionJudgement:
+def judge_session(
+    observations: Observations, active: ActiveSet, surrounded: Surrounded | None = None
+) -> SessionJudgement:
     """Return what a new session says of the active calibration; nothing is refitted.
 
-    ``observations``: with the reference at the active set's own time offset and with its regressors.
+    ``observations``: with the reference at the active set's own time offset and with its regressors; ``surrounded``:
+    what is hidden in them, where that is known.
     """
-    return judge_moments(moments_of(observations, active.parameters, is_vector=active.is_vector), active)
+    is_vector = active.is_vector
+    moments = moments_of(observations, active.parameters, is_vector=is_vector, surrounded=surrounded)
+    return judge_moments(moments, active)
 
 
 def judge_moments(moments: SessionMoments, active: ActiveSet) -> SessionJudgement:
@@ -303,8 +302,8 @@ def _freedom(own: Floats, total: Floats, rows: int) -> Floats:
     return np.asarray(max(rows, 1) * (np.diag(total) / np.maximum(np.diag(own), 1e-300)) ** 2)
 
 
-def _step(moments: SessionMoments, rows: int) -> tuple[Floats, Floats]:
-    """Return the Gauss-Newton step and its honest covariance; ``rows``: number of residuals."""
+def _settled(moments: SessionMoments, rows: int) -> tuple[Floats, Floats, float, Floats]:
+    """Return the Gauss-Newton step, the prior's normal matrix, the variance that is left, nT^2, and the inverse."""
     blocks = moments.blocks
     normal, gradient = blocks.normals.sum(axis=0), blocks.scores.sum(axis=0)
     p = gradient.size
@@ -319,7 +318,13 @@ def _step(moments: SessionMoments, rows: int) -> tuple[Floats, Floats]:
         step = -scaled_solution(total, gradient)
         left = moments.cost + 2.0 * gradient @ step + step @ normal @ step
         variance = max(float(left) / max(rows - p, 1), 1e-12 * moments.cost / rows, 1e-300)
-    inverse = scaled_solution(total, np.eye(p))
+    return step, loose, variance, scaled_solution(total, np.eye(p))
+
+
+def _step(moments: SessionMoments, rows: int) -> tuple[Floats, Floats]:
+    """Return the Gauss-Newton step and its honest covariance; ``rows``: number of residuals."""
+    blocks, p = moments.blocks, moments.at.vector.size
+    step, loose, variance, inverse = _settled(moments, rows)
     after = blocks.scores + blocks.normals @ step
     settled = BlockScores(
         np.concatenate([after, np.zeros((1, p))]),
@@ -329,7 +334,11 @@ def _step(moments: SessionMoments, rows: int) -> tuple[Floats, Floats]:
     )
     honest = honest_covariance(settled, inverse * variance, moments.samples, moments.duration_s).covariance
     shift = inverse @ moments.noise_score * variance
-    return step, honest + np.outer(shift, shift)
+    covariance = honest + np.outer(shift, shift)
+    if moments.hidden is not None:
+        shifts = moments.hidden.shifts(inverse * variance)
+        covariance = covariance + moments.hidden.locked + shifts.T @ shifts
+    return step, covariance
 
 
 def differences_of(

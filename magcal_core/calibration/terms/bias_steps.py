@@ -30,6 +30,7 @@ from magcal_core.calibration.terms.wandering_bias import (
     Process,
     Solved,
     log_likelihood,
+    plain_log_likelihood,
     solved,
     step_information,
 )
@@ -210,7 +211,7 @@ def _wanders(blocks: Blocks) -> bool:
     A step that would be believed looks like one: where none does, every noise model need not be searched.
     """
     few = blocks.together(max(1, len(blocks) // _FEW_BLOCKS))
-    likelihood = [solved(few, Process.of(few, model), ()).log_likelihood for model in (MODELS[0], *_COARSE)]
+    likelihood = [plain_log_likelihood(few, model) for model in (MODELS[0], *_COARSE)]
     return max(likelihood) > likelihood[0] + _BETTER
 
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats, Mask, Times
 from magcal_core.attitude.rotation import rotate_rows
+from magcal_core.calibration.terms.locked_posterior import LockedFamilies
 from magcal_core.constants import EARTH_ROTATION_RAD_S
 from magcal_core.errors import ModelRangeError
 from magcal_core.field import FieldModel
@@ -91,6 +92,11 @@ class LockedColumns:
         """Return the family, from 0, of every column times axis, shape (3 t,)."""
         of_column = [self.names.index(name) for name in self.families]
         return np.repeat(np.array(of_column, np.intp), 3)
+
+    @property
+    def locked_families(self) -> LockedFamilies:
+        """Which family each term is of."""
+        return LockedFamilies(self.names, self.family_of_terms, self.unseen)
 
     def only(self, names: Sequence[str]) -> LockedColumns:
         """Return the columns of these families alone."""

@@ -283,14 +283,45 @@ def _shared(blocks: Blocks, steps: Sequence[int]) -> Floats:
     return np.ascontiguousarray(joined.transpose(1, 0, 2)).reshape(joined.shape[1], -1)
 
 
+def plain_log_likelihood(blocks: Blocks, model: Wander) -> float:
+    """Return log L of a noise model without any step: that of `solved`, no inverse of the bias's own part made."""
+    from scipy.linalg.lapack import dpbtrs
+
+    normal, score = _system(blocks, ())
+    bias_score = blocks.scores[:, BIAS].ravel()
+    rss, log_determinant = float(blocks.costs.sum()), 0.0
+    if model.deviation > 0.0:
+        factor, log_determinant = _bias_factor(blocks, model)
+        shared = _shared(blocks, ())
+        right = np.concatenate([shared, bias_score[None]]).T
+        found, _ = dpbtrs(factor, right, lower=1)
+        normal = normal - shared @ found[:, :-1]
+        score = score - shared @ found[:, -1]
+        rss -= float(bias_score @ found[:, -1])
+    size = np.sqrt(np.diag(normal))
+    factor = np.linalg.cholesky(normal / np.outer(size, size))
+    half = np.linalg.solve(factor, score / size)
+    log_determinant += 2.0 * float(np.log(np.diag(factor)).sum() + np.log(size).sum())
+    return float(log_likelihood(max(rss - float(half @ half), 1e-300), blocks.freedom, log_determinant))
+
+
 def _bias_inverse(blocks: Blocks, model: Wander) -> tuple[Floats, float]:
-    """Return the inverse of the bias's own part of A, shape (3m, 3m), and log(det of it / det P).
+    """Return the inverse of the bias's own part of A, shape (3m, 3m), and log(det of it / det P)."""
+    from scipy.linalg import cho_solve_banded
+
+    factor, log_determinant = _bias_factor(blocks, model)
+    inverse = cho_solve_banded((factor, True), np.eye(factor.shape[1]), check_finite=False)
+    return np.asarray(inverse), log_determinant
+
+
+def _bias_factor(blocks: Blocks, model: Wander) -> tuple[Floats, float]:
+    """Return the Cholesky factor of the bias's own part of A, shape (4, 3m) for its diagonals, and log(det / det P).
 
     Notes
     -----
     The process is Markov: its precision is tridiagonal in the blocks, so that the whole is a band of four diagonals.
     """
-    from scipy.linalg import cho_solve_banded, cholesky_banded
+    from scipy.linalg import cholesky_banded
 
     m, weight = len(blocks), 1.0 / model.deviation**2
     kept = np.exp(-np.diff(blocks.middle_s) / model.memory_s)
@@ -305,9 +336,8 @@ def _bias_inverse(blocks: Blocks, model: Wander) -> tuple[Floats, float]:
     band[2, :, 0] = own[:, 2, 0]
     band[3, :-1] = -weight * (kept / lost)[:, None]
     factor = cholesky_banded(band.reshape(4, 3 * m), lower=True, check_finite=False)
-    inverse = cho_solve_banded((factor, True), np.eye(3 * m), check_finite=False)
     log_prior = m * np.log(weight) - np.log(lost).sum()
-    return np.asarray(inverse), float(2.0 * np.log(factor[0]).sum() - 3.0 * log_prior)
+    return np.asarray(factor), float(2.0 * np.log(factor[0]).sum() - 3.0 * log_prior)
 
 
 def step_information(blocks: Blocks, steps: Sequence[int], here: Solved, places: Indices) -> tuple[Floats, Floats]:

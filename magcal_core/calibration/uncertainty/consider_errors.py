@@ -87,21 +87,43 @@ class ReferenceErrors:
 
         ``observations``, ``fit``: all samples, with the derivative of the reference where the clock is an unknown.
         """
-        few = observations.take(self.rows)
-        part = replace(fit, residuals_nt=fit.residuals_nt[self.rows], weights=fit.weights[self.rows])
-        linear = rows_of(few, part, is_full=is_full)
-        if fit.residuals_nt.ndim == 1:
-            along = np.einsum("mni,ni->mn", self.errors_nt, self.main_nt) / np.linalg.norm(self.main_nt, axis=1)
-            changes = along[None]
-        else:
-            in_base = self.errors_nt if self.in_base_nt is None else self.in_base_nt
-            changes = np.einsum("mnj,ij->imn", in_base, linear.matrix)
+        linear, changes = self._changes(observations, fit, is_full=is_full)
         q = linear.unknowns.size
         normal, right = np.zeros((q, q)), np.zeros((len(self.errors_nt), q))
         for channel, change in zip(linear.channels, changes, strict=True):
             normal[np.ix_(channel.places, channel.places)] += channel.jacobian.T @ channel.jacobian
             right[:, channel.places] += (change * channel.by_field) @ channel.jacobian
         return linear, right @ scaled_inverse(normal)
+
+    def products(self, observations: Observations, fit: Fit, starts: NDArray[np.intp]) -> tuple[Rows, Floats]:
+        """Return the rows of these samples, and the products of (J, C) by blocks, shape (b, q + m, q + m).
+
+        C is what each error does to the rows, J their derivative by the unknowns; ``starts``, shape (b,): the first
+        sample, of all, of each block.
+        """
+        linear, changes = self._changes(observations, fit, is_full=False)
+        q, m = linear.unknowns.size, len(self.errors_nt)
+        made = np.zeros((len(starts), q + m, q + m))
+        of_block = np.searchsorted(starts, self.rows, side="right") - 1
+        for channel, change in zip(linear.channels, changes, strict=True):
+            design = np.zeros((len(self.rows), q + m))
+            design[:, channel.places] = channel.jacobian
+            design[:, q:] = (change * channel.by_field).T
+            for block in np.unique(of_block):
+                part = design[of_block == block]
+                made[block] += part.T @ part
+        return linear, made
+
+    def _changes(self, observations: Observations, fit: Fit, *, is_full: bool) -> tuple[Rows, Floats]:
+        """Return the rows of these samples and what each error does to their reference, shape (channels, m, r), nT."""
+        few = observations.take(self.rows)
+        part = replace(fit, residuals_nt=fit.residuals_nt[self.rows], weights=fit.weights[self.rows])
+        linear = rows_of(few, part, is_full=is_full)
+        if fit.residuals_nt.ndim == 1:
+            along = np.einsum("mni,ni->mn", self.errors_nt, self.main_nt) / np.linalg.norm(self.main_nt, axis=1)
+            return linear, along[None]
+        in_base = self.errors_nt if self.in_base_nt is None else self.in_base_nt
+        return linear, np.einsum("mnj,ij->imn", in_base, linear.matrix)
 
 
 def reference_errors(samples: Samples, weights: Floats, source: ReferenceSource) -> ReferenceErrors | None:

@@ -12,7 +12,6 @@ from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.contract import Estimator, Fit, FitSettings
 from magcal_core.calibration.estimators.loss import counted_weights
 from magcal_core.calibration.estimators.scalar_kernel import geometric_residuals_nt
-from magcal_core.calibration.field_error import FieldError, field_error, field_error_of_matrix
 from magcal_core.calibration.observability.advice import advice, motion_words, vector_weak_words, weak_words
 from magcal_core.calibration.observability.information import (
     ENOUGH,
@@ -34,6 +33,7 @@ from magcal_core.calibration.sessions.monitoring import ActiveSet
 from magcal_core.calibration.terms.full_matrix import FullMatrix, unseen_rms_nt
 from magcal_core.calibration.uncertainty.consider_errors import ReferenceShift
 from magcal_core.calibration.uncertainty.cross_validation import held_out_residuals_nt, rms_nt
+from magcal_core.calibration.uncertainty.field_error import FieldError, field_error, field_error_of_matrix
 from magcal_core.calibration.uncertainty.honest_covariance import HonestCovariance, covered_s, honest_covariance
 from magcal_core.calibration.verdict.agreement import Agreement, agreement_with
 from magcal_core.calibration.verdict.verdict import DETERMINED, NOISE_ALONE, Evidence, Turn, judge

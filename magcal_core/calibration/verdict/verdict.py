@@ -11,9 +11,9 @@ from typing import Final
 import numpy as np
 
 from magcal_core.arrays import Floats
-from magcal_core.calibration.field_error import FieldError
 from magcal_core.calibration.reasons import Reason, Verdict
 from magcal_core.calibration.residuals import ResidualStatistics
+from magcal_core.calibration.uncertainty.field_error import FieldError
 from magcal_core.calibration.verdict.agreement import Agreement
 from magcal_core.sensor.parameters import Parameters
 

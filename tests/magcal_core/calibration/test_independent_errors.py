@@ -82,3 +82,31 @@ def test_quarters_of_bro4_agree_within_their_intervals(bro4_dir):
     scatter = [np.std([one.parameters.vector[:9] for one in made], axis=0, ddof=1) for made in (ours, plain)]
     for group in (slice(0, 3), slice(3, 6), slice(6, 9)):
         assert np.linalg.norm(scatter[0][group]) <= 1.5 * np.linalg.norm(scatter[1][group])
+
+
+@pytest.mark.real_data
+def test_quarters_of_bro4_by_a_tle_of_33_days(bro4_dir):
+    """The same against a TLE of 33 days, whose clock each quarter finds: 43 of 54 differences lie within 95 %.
+
+    That is less than the 85 % that hold against the field computed on board: the bias along the axis that the satellite
+    turns about, and the two angles towards it, differ by several of their errors between quarters. No group scatters
+    more than under Tukey's loss without a clock or locked terms.
+    """
+    columns = {"time": "ts", "bx": "extmag_0", "by": "extmag_1", "bz": "extmag_2"}
+    samples = read_samples(bro4_dir / "external.csv", columns=columns, unit="mG")
+    orbit = Sgp4Orbit.from_tle((bro4_dir / "tle.txt").read_text())
+    quarters = [samples.take(part) for part in np.array_split(np.arange(len(samples)), 4)]
+    ours = [calibrate(one, [orbit], max_orbit_age_days=60.0) for one in quarters]
+    plain = [calibrate(one, [orbit], max_orbit_age_days=60.0, **(PLAIN | {"robust": "tukey"})) for one in quarters]
+    assert all(one.extras["time_offset"]["is_taken"] for one in ours)
+    inside = []
+    for one, other in combinations(ours, 2):
+        size = np.hypot(one.standard_errors.vector[:9], other.standard_errors.vector[:9])
+        inside.append(np.abs(one.parameters.vector[:9] - other.parameters.vector[:9]) < 1.96 * size)
+    told = np.mean(inside, axis=0)
+    turning = np.array([0, 6, 7])
+    assert np.mean(told[np.setdiff1d(np.arange(9), turning)]) >= 0.95
+    assert np.mean(inside) >= 0.75
+    scatter = [np.std([one.parameters.vector[:9] for one in made], axis=0, ddof=1) for made in (ours, plain)]
+    for group in (slice(0, 3), slice(3, 6), slice(6, 9)):
+        assert np.linalg.norm(scatter[0][group]) <= np.linalg.norm(scatter[1][group])

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magcal_core.calibration.field_error import FieldError
 from magcal_core.calibration.residuals import ResidualStatistics
 from magcal_core.calibration.sessions.consistency import ParameterDifference
+from magcal_core.calibration.uncertainty.field_error import FieldError
 from magcal_core.calibration.verdict.agreement import Agreement
 from magcal_core.calibration.verdict.verdict import Evidence, Turn, judge
 from magcal_core.sensor.parameters import Parameters

@@ -12,8 +12,8 @@ from magcal_core.calibration.estimators.contract import FitSettings
 from magcal_core.calibration.estimators.normal_equations import equations_at
 from magcal_core.calibration.estimators.scalar import ScalarFit
 from magcal_core.calibration.estimators.vector import VectorFit
-from magcal_core.calibration.sessions.consistency import SessionEstimate, consistency
-from magcal_core.calibration.sessions.joint import consistency_of_fits, joint_fit
+from magcal_core.calibration.sessions.consistency import SessionEstimate, consistency, consistency_of_fits
+from magcal_core.calibration.sessions.joint import joint_fit
 from magcal_core.errors import NotObservableError, OptionError
 from magcal_core.observations import Observations, residuals_nt
 from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from magcal_core.calibration.field_error import FIELD_NT, field_error, field_error_of_matrix
+from magcal_core.calibration.uncertainty.field_error import FIELD_NT, field_error, field_error_of_matrix
 from magcal_core.sensor.model import SensorModel
 from magcal_core.sensor.parameters import Parameters
 
