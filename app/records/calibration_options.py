@@ -14,7 +14,7 @@ from magcal_core.options import CalibrationOptions
 class GyroBody(Body):
     """The session's columns of angular rate, one an axis, and their unit."""
 
-    columns: tuple[str, str, str]
+    columns: list[str] = Field(min_length=3, max_length=3)
     unit: Literal["deg/s", "rad/s"] = "deg/s"
 
 
