@@ -18,7 +18,6 @@ Floats = NDArray[np.float64]
 
 MINUTES: Final = 233.0
 STEP_S: Final = 10.0
-ORBIT_S: Final = 5700.0
 ERRORS: Final = ("none", "wave", "heat", "walk", "memory")
 """Slow errors of the bias that no column explains, 100 nT."""
 FULL_TABLE: Final = 53
@@ -53,10 +52,11 @@ def draw(seed: int, error: str, true: str, *, columns: int = 12) -> Session:
     )
     samples = made.samples_with_reference
     t_s = STEP_S * np.arange(len(samples))
-    decoys = dict(_decoys(random, t_s, columns))
-    moved_nt = _slow_nt(error, t_s, random)
+    orbit_s = 86_400.0 / orbit.elements.mean_motion_rev_day
+    decoys = dict(_decoys(random, t_s, columns, orbit_s))
+    moved_nt = _slow_nt(error, t_s, random, orbit_s)
     if true:
-        column = _true_column(true, t_s, random)
+        column = _true_column(true, t_s, random, orbit_s)
         decoys[true] = column
         direction = random.normal(size=3)
         direction /= np.linalg.norm(direction)
@@ -67,14 +67,14 @@ def draw(seed: int, error: str, true: str, *, columns: int = 12) -> Session:
     return Session(Flown(spoiled, orbit, sensor, 60.0, random), decoys, true)
 
 
-def _slow_nt(kind: str, t_s: Floats, random: np.random.Generator) -> Floats:
+def _slow_nt(kind: str, t_s: Floats, random: np.random.Generator, orbit_s: float) -> Floats:
     direction, phase = random.normal(size=3), random.uniform(0, 2 * np.pi)
     direction /= np.linalg.norm(direction)
     if kind == "wave":
         period_s = 60.0 * float(np.exp(random.uniform(np.log(42.0), np.log(150.0))))
         return np.asarray(np.outer(np.sin(2 * np.pi * t_s / period_s + phase), 100.0 * direction))
     if kind == "heat":
-        lit = np.clip(np.sin(2 * np.pi * t_s / ORBIT_S + phase) * 3.0 + 1.0, -1.0, 1.0)
+        lit = np.clip(np.sin(2 * np.pi * t_s / orbit_s + phase) * 3.0 + 1.0, -1.0, 1.0)
         return np.asarray(np.outer(_smoothed(lit, 600.0), 100.0 * direction))
     if kind == "walk":
         steps = random.normal(size=(len(t_s), 3)) * 100.0 / np.sqrt(len(t_s))
@@ -92,34 +92,34 @@ def _smoothed(column: Floats, memory_s: float) -> Floats:
     return np.asarray(lfilter([1.0 - share], [1.0, -share], column, zi=begin)[0])
 
 
-def _orbital(t_s: Floats, random: np.random.Generator) -> Floats:
+def _orbital(t_s: Floats, random: np.random.Generator, orbit_s: float) -> Floats:
     """Return a column that follows the orbit: two harmonics, a slow drift, a little of its own, coarse steps."""
     phase = random.uniform(0, 2 * np.pi, 2)
-    column = 10.0 * np.sin(2 * np.pi * t_s / ORBIT_S + phase[0])
-    column += random.uniform(0, 4) * np.sin(4 * np.pi * t_s / ORBIT_S + phase[1])
+    column = 10.0 * np.sin(2 * np.pi * t_s / orbit_s + phase[0])
+    column += random.uniform(0, 4) * np.sin(4 * np.pi * t_s / orbit_s + phase[1])
     column += random.uniform(-3, 3) * t_s / t_s[-1] + 0.3 * random.normal(size=len(t_s))
     return np.asarray(np.round(20.0 + column, 1))
 
 
-def _switching(t_s: Floats, random: np.random.Generator) -> Floats:
+def _switching(t_s: Floats, random: np.random.Generator, _orbit_s: float) -> Floats:
     each = max(1, int(random.uniform(3, 60)))
     levels = random.normal(size=len(t_s) // each + 1)
     return np.repeat(levels, each)[: len(t_s)]
 
 
-def _walk(t_s: Floats, random: np.random.Generator) -> Floats:
+def _walk(t_s: Floats, random: np.random.Generator, _orbit_s: float) -> Floats:
     return np.asarray(np.cumsum(random.normal(size=len(t_s))))
 
 
-def _true_column(name: str, t_s: Floats, random: np.random.Generator) -> Floats:
+def _true_column(name: str, t_s: Floats, random: np.random.Generator, orbit_s: float) -> Floats:
     if name == "temperature":
-        return _orbital(t_s, random)
+        return _orbital(t_s, random, orbit_s)
     each = 3
     return np.repeat(random.choice([-1.0, 0.0, 1.0], len(t_s) // each + 1), each)[: len(t_s)]
 
 
-def _decoys(random: np.random.Generator, t_s: Floats, count: int) -> Iterator[tuple[str, Floats]]:
+def _decoys(random: np.random.Generator, t_s: Floats, count: int, orbit_s: float) -> Iterator[tuple[str, Floats]]:
     makers = {"walk": _walk, "orbital": _orbital, "current": _switching}
     for number in range(count):
         name = list(makers)[number % 3]
-        yield f"{name}_{chr(97 + number // 3)}", makers[name](t_s, random)
+        yield f"{name}_{chr(97 + number // 3)}", makers[name](t_s, random, orbit_s)
