@@ -45,7 +45,7 @@ def test_a_session_says_why_its_last_calibration_failed(window: Watched, stuck: 
 
 
 def test_the_list_of_jobs_has_the_cause_behind_the_code(window: Watched, stuck: str) -> None:
-    page = window.open(f"/jobs?q={stuck}")
-    row = page.get_by_role("row").filter(has_text="failed").first
-    row.locator("summary").click()
+    page = window.open("/jobs?q=stuck")
+    row = page.get_by_role("row").filter(has=page.locator(f'a[href="/sessions/{stuck}"]'))
+    expect(row.locator("summary")).to_have_text("wrong_input")
     expect(row).to_contain_text("Cause: axis_constant")
