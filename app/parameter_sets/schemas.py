@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, JsonValue
 
-from app.http.schemas import Body, Filter, Identifier, Name, PageQuery, Record, Search, Slug, UtcTime
+from app.http.schemas import Body, Filter, Identifier, Name, OneOf, PageQuery, Record, Search, Slug, UtcTime
+from app.http.tables import TableFormat
+from app.parameter_sets.export_formats import EXPORTERS
 
 Status = Literal["candidate", "active", "retired"]
-TableFormat = Literal["csv", "ndjson", "json", "parquet"]
 
 
 class VerdictRead(Record):
@@ -141,7 +142,7 @@ class ExportQuery(Filter):
     """In which convention and format a parameter set is written for flight software."""
 
     convention: str = Field("exact", max_length=32)
-    format: Literal["json", "csv", "yaml", "c", "gomspace", "fprime"] = "json"
+    format: Annotated[str, OneOf(EXPORTERS)] = "json"
 
 
 class ApplyQuery(TableQuery):

@@ -113,13 +113,12 @@ class OrbitWatch:
 
     def _begin(self, satellite: Watched) -> bool:
         """Return whether the satellite may be asked for now, which is written down then."""
-        now = utc_now()
-        with self._database.write() as session:
-            if stopped(session, self._name) is not None or not self._may(session, satellite, now):
-                return False
-            session.add(
-                ConnectorRequest(id=new_id(), source=self._name, satellite_id=satellite.satellite_id, asked_at=now)
-            )
+        return self._database.transact(lambda session: self._noted(session, satellite, utc_now()))
+
+    def _noted(self, session: Session, satellite: Watched, now: datetime) -> bool:
+        if stopped(session, self._name) is not None or not self._may(session, satellite, now):
+            return False
+        session.add(ConnectorRequest(id=new_id(), source=self._name, satellite_id=satellite.satellite_id, asked_at=now))
         return True
 
     def _may(self, session: Session, satellite: Watched, now: datetime) -> bool:
@@ -150,33 +149,34 @@ class OrbitWatch:
             return self._note(satellite, "failed", error.message)
         except MagcalError as error:
             return self._note(satellite, "failed", f"what it answered cannot be read: {error.code}: {error.message}")
-        with self._database.write() as session:
-            _, is_new = OrbitRepository(session, SYSTEM, satellite.satellite_id).add(orbits)
+        of = satellite.satellite_id
+        _, is_new = self._database.transact(lambda session: OrbitRepository(session, SYSTEM, of).add(orbits))
         return self._note(satellite, "new" if is_new else "known", None)
 
     def _note(self, satellite: Watched, state: str, why: str | None) -> Asked:
-        with self._database.write() as session:
-            last = session.scalars(
-                select(ConnectorRequest)
-                .where(ConnectorRequest.source == self._name, ConnectorRequest.satellite_id == satellite.satellite_id)
-                .order_by(ConnectorRequest.asked_at.desc())
-                .limit(1)
-            ).one()
-            last.outcome = (why or state)[:500]
-            old = ConnectorRequest.asked_at < utc_now() - KEEP_REQUESTS
-            for row in session.scalars(select(ConnectorRequest).where(old, ConnectorRequest.source == self._name)):
-                session.delete(row)
+        self._database.transact(lambda session: self._write_down(session, satellite, (why or state)[:500]))
         if why is not None:
             log.warning("orbit_not_fetched", source=self._name, satellite=satellite.satellite_id, why=why)
         return Asked(satellite.satellite_id, state, why)
 
+    def _write_down(self, session: Session, satellite: Watched, outcome: str) -> None:
+        """Keep what came of the latest request for a satellite, and forget requests that are old."""
+        mine = ConnectorRequest.source == self._name
+        own = select(ConnectorRequest).where(mine, ConnectorRequest.satellite_id == satellite.satellite_id)
+        session.scalars(own.order_by(ConnectorRequest.asked_at.desc()).limit(1)).one().outcome = outcome
+        old = ConnectorRequest.asked_at < utc_now() - KEEP_REQUESTS
+        for row in session.scalars(select(ConnectorRequest).where(old, mine)):
+            session.delete(row)
+
     def _stop(self, reason: str) -> None:
         why = f"{reason}; it is not asked again until you say so: magcal orbits start {self._name}"
-        with self._database.write() as session:
-            session.merge(ConnectorStop(source=self._name, reason=why[:500], stopped_at=utc_now()))
-            record_event(session, SYSTEM, "orbit_source.stop", self._name)
-            append(session, [_attention(self._name, why, is_raised=True)])
+        self._database.transact(lambda session: self._stopped(session, why))
         log.error("orbit_source_stopped", source=self._name, why=reason)
+
+    def _stopped(self, session: Session, why: str) -> None:
+        session.merge(ConnectorStop(source=self._name, reason=why[:500], stopped_at=utc_now()))
+        record_event(session, SYSTEM, "orbit_source.stop", self._name)
+        append(session, [_attention(self._name, why, is_raised=True)])
 
 
 def own_orbits(orbits: list[ParsedOrbit], satellite: Watched) -> list[ParsedOrbit]:
