@@ -78,10 +78,15 @@ def of_satellite(satellite_id: str) -> Bringer:
 
 
 def of_session(session_id: str) -> Bringer:
-    """Return what brings a session."""
+    """Return what brings a session and the newest calibration of it, which says why it failed where it did."""
 
     def ask(caller: Caller, database: Database, _texts: Texts) -> Answers:
-        return {f"/sessions/{session_id}": sessions.get_session(session_id, caller, database).model_dump_json()}
+        session = sessions.get_session(session_id, caller, database)
+        newest = jobs.list_jobs(JobQuery(kind="calibration", limit=1, session=session_id), caller, database)
+        return {
+            f"/sessions/{session_id}": session.model_dump_json(),
+            f"/jobs?kind=calibration&limit=1&session={session_id}": newest.model_dump_json(),
+        }
 
     return ask
 
