@@ -37,9 +37,9 @@ _OPTIONAL: Final[Mapping[str, tuple[float, float]]] = {
     "BSTAR": (-10.0, 10.0),
     "MEAN_MOTION_DOT": (-1e3, 1e3),
     "MEAN_MOTION_DDOT": (-1e3, 1e3),
-    "NORAD_CAT_ID": (0, 999_999_999),
     "EPHEMERIS_TYPE": (0, 9),
 }
+_CATALOGUE: Final = re.compile(r"\+?0*\d{1,9}", re.ASCII)
 _FIXED: Final[Mapping[str, tuple[str, ...]]] = {
     "CENTER_NAME": ("EARTH",),
     "REF_FRAME": ("TEME",),
@@ -199,6 +199,9 @@ def _omm(record: Mapping[str, str], where: str, faults: list[Fault]) -> Omm | No
     values = {key: _number(record, key, limits, where, faults) for key, limits in _NUMBERS.items()}
     for key, limits in _OPTIONAL.items():
         values[key] = _number(record, key, limits, where, faults) if record.get(key, "").strip() else 0.0
+    norad_id = record.get("NORAD_CAT_ID", "").strip()
+    if norad_id and not _CATALOGUE.fullmatch(norad_id):
+        faults.append(Fault(f"{where}, NORAD_CAT_ID", "want an integer of at most nine digits", norad_id[:40]))
     epoch = _epoch(record, where, faults)
     if len(faults) > before or epoch is None:
         return None
@@ -211,7 +214,7 @@ def _omm(record: Mapping[str, str], where: str, faults: list[Fault]) -> Omm | No
     cospar = record.get("OBJECT_ID", "").strip()
     return Omm(
         name=record.get("OBJECT_NAME", "").strip()[:100],
-        norad_id=str(int(values["NORAD_CAT_ID"])) if record.get("NORAD_CAT_ID", "").strip() else "",
+        norad_id=str(int(norad_id)) if norad_id else "",
         cospar_id=cospar if _COSPAR.fullmatch(cospar) else "",
         epoch_utc=epoch,
         mean_motion_rev_day=motion,
@@ -231,7 +234,7 @@ def _omm(record: Mapping[str, str], where: str, faults: list[Fault]) -> Omm | No
 def _number(record: Mapping[str, str], key: str, limits: tuple[float, float], where: str, faults: list[Fault]) -> float:
     text = record.get(key, "").strip()
     try:
-        value = float(text)
+        value = float(text if text.isascii() and "_" not in text else "")
     except ValueError:
         faults.append(Fault(f"{where}, {key}", "is not a number" if text else "is missing", text[:40]))
         return math.nan
