@@ -351,7 +351,7 @@ def keep_session(database: Database, begin: str, hours: float = 3.0, satellite: 
 
 @pytest.fixture
 def track(serve, tmp_path):
-    """Space-Track with elements at noon of every day of 2022 and of yesterday, its settings, its queries of the past."""
+    """Space-Track with elements at noon of each day of 2022 and of yesterday, its settings, its queries of the past."""
     days = [str(np.datetime64("2022-01-01") + day) + "T12:00:00" for day in range(365)]
     recent = (utc_now() - timedelta(days=1)).strftime("%Y-%m-%dT%H:%M:%S")
     log: list[tuple[int, str, str]] = []
