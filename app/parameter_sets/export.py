@@ -16,26 +16,35 @@ import yaml
 
 from app.http.schemas import utc_text
 from app.parameter_sets.correction import rotation_of
-from app.parameter_sets.flight_tables import Document, fprime_parameters, gomspace_table
+from app.parameter_sets.flight_tables import Document, flight_numbers, fprime_parameters, gomspace_table
+from app.parameter_sets.fprime_file import parameter_file
 from app.parameter_sets.schemas import ParameterSetRead
 from app.parameter_sets.worked_example import COLUMN, formula, rotation_of_symmetric, worked
 from magcal_core.sensor.conventions import convert
 from magcal_core.sensor.model import SensorModel
 
 ON_BOARD: Final = "on-board"
-FLIGHT_TABLES: Final = frozenset({"gomspace", "fprime"})
+FPRIME_FILE: Final = "fprime-dat"
+FPRIME_MEDIA_TYPE: Final = "application/octet-stream"
+FLIGHT_TABLES: Final = frozenset({"gomspace", "fprime", FPRIME_FILE})
 
 
-def exported(record: ParameterSetRead, convention: str, form: str) -> tuple[str, str]:
-    """Return the media type and the text of a parameter set in ``convention`` and in the format ``form``.
+def exported(
+    record: ParameterSetRead, convention: str, form: str, *, first_id: int = 0, has_crc: bool = True
+) -> tuple[str, str | bytes]:
+    """Return the media type and the content of a parameter set in ``convention`` and in the format ``form``.
 
-    The tables of flight software have one convention, ``on-board``, whatever is asked for.
+    The tables of flight software have one convention, ``on-board``, whatever is asked for. A parameter file of F Prime
+    has ids from ``first_id`` on.
 
     Raises
     ------
     OptionError
         The convention is unknown.
     """
+    if form == FPRIME_FILE:
+        numbers = flight_numbers(document_of(record, ON_BOARD))
+        return FPRIME_MEDIA_TYPE, parameter_file(numbers, first_id, has_crc=has_crc)
     media_type, write = EXPORTERS[form]
     return media_type, write(document_of(record, ON_BOARD if form in FLIGHT_TABLES else convention))
 
@@ -160,4 +169,4 @@ EXPORTERS: Final[Mapping[str, tuple[str, Callable[[Document], str]]]] = {
     "gomspace": ("text/plain; charset=utf-8", gomspace_table),
     "fprime": ("application/json", fprime_parameters),
 }
-"""Format -> media type and writer."""
+"""Format -> media type and writer; the parameter file of F Prime, which is no text, beside them."""

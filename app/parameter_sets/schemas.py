@@ -141,7 +141,11 @@ class ExportQuery(Filter):
     """In which convention and format a parameter set is written for flight software."""
 
     convention: str = Field("exact", max_length=32)
-    format: Literal["json", "csv", "yaml", "c", "gomspace", "fprime"] = "json"
+    format: Literal["json", "csv", "yaml", "c", "gomspace", "fprime", "fprime-dat"] = "json"
+    first_id: int = Field(0, ge=0, le=0xFFFF_FF00, description="`fprime-dat`: the id of MGM_OFFSET; the others follow.")
+    crc: bool = Field(
+        True, description="`fprime-dat`: with the CRC of the records before them; older F Primes have none."
+    )
 
 
 class ApplyQuery(TableQuery):
