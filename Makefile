@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.installed
 KERNELS := $(VENV)/.kernels
 
 .DEFAULT_GOAL := help
-.PHONY: help system install demo test test-quick check format bench studies docs faults lock audit clean
+.PHONY: help system install demo test test-quick check format bench studies mutations docs faults lock audit clean
 
 help:            ## this list
 	@grep -hE '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 12
@@ -52,10 +52,10 @@ format: $(STAMP)  ## let ruff rewrite what it can
 	$(BIN)/ruff check --fix .
 
 test: system check $(KERNELS) ## the checks and every test
-	$(BIN)/python -m pytest $(if $(PYTEST_ARGS),$(PYTEST_ARGS),-n 2 --dist loadfile)
+	$(BIN)/python -m pytest $(if $(PYTEST_ARGS),$(PYTEST_ARGS),-n 2 --dist loadfile --no-loadscope-reorder)
 
 test-quick: $(KERNELS) ## what a change needs while one works on it: no browser, no PostgreSQL, no killed process
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow and not postgres and not browser and not real_data" \
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow and not postgres and not browser and not real_data" \
 	  --ignore tests/faults --ignore tests/browser
 
 faults: $(KERNELS) ## kill, pause and fill real processes; MAGCAL_FAULT_TRIALS=N for more of it
@@ -66,6 +66,9 @@ bench: $(KERNELS) ## measure against peers and bare kernels; writes benchmarks/r
 
 studies: $(KERNELS) ## count errors of estimates and verdicts over thousands of simulated missions; an hour or two
 	$(BIN)/python -m benchmarks --studies
+
+mutations: $(KERNELS) ## plant single faults in a copy and see whether the tests notice; FAULTS="a b" for some
+	$(BIN)/python tests/mutations.py $(FAULTS)
 
 docs: $(STAMP)    ## the documentation as web pages in site/
 	$(BIN)/mkdocs build --strict --quiet

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from dataclasses import dataclass
 from typing import Final
 
 import structlog
@@ -23,6 +24,7 @@ from app.connectors.orbits.watch import stopped_sources
 from app.connectors.orbits.watcher import OrbitWatcher
 from app.dashboard import endpoints as displays
 from app.dashboard import pages
+from app.dashboard.pages import PageServices
 from app.field import endpoints as field
 from app.http.allowed_methods import Methods
 from app.http.entity_tags import Revalidation
@@ -35,17 +37,22 @@ from app.http.middleware.upload_gate import UploadGate
 from app.http.openapi import complete
 from app.http.problem_handlers import install_handlers
 from app.http.receiving import Admission, sweep_incoming
+from app.http.services import Stopping, install, services_of
 from app.indices import endpoints as indices
 from app.jobs import endpoints as jobs
-from app.jobs.engines.open_engine import Engine, open_engine
+from app.jobs import preview_endpoints
+from app.jobs.dependencies import JobServices
+from app.jobs.engines.open_engine import open_engine
+from app.jobs.queue import Workers
 from app.maintenance import satellite_endpoints
 from app.monitoring import endpoints as monitoring
-from app.monitoring import rollouts, trends
+from app.monitoring import rollouts, set_comparison, trends
 from app.notes import endpoints as notes
 from app.notifications import endpoints as notifications
-from app.notifications.event_stream import NewestEntry
+from app.notifications.event_stream import EventServices, NewestEntry
 from app.notifications.notifier import Notifier
 from app.operations import health
+from app.operations.health import OperationServices
 from app.orbits import endpoints as orbits
 from app.parameter_sets import bias_paths, pointing, refits
 from app.parameter_sets import endpoints as parameter_sets
@@ -59,6 +66,7 @@ from app.storage.open_store import open_store
 from app.uploads import confirmation
 from app.uploads import endpoints as uploads
 from app.uploads.batching import Keeper
+from app.uploads.endpoints import UploadServices
 from app.uploads.ingest import Ingest
 
 API: Final = "/api/v1"
@@ -71,12 +79,14 @@ ROOMS: Final = (
     satellite_endpoints,
     orbits,
     jobs,
+    preview_endpoints,
     parameter_sets,
     pointing,
     refits,
     bias_paths,
     trends,
     rollouts,
+    set_comparison,
     aboard,
     field,
     indices,
@@ -89,6 +99,16 @@ ROOMS: Final = (
 STOP_GRACE_S: Final = 20.0
 
 log = structlog.get_logger()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Services(UploadServices, PageServices, JobServices, EventServices, OperationServices):
+    """What the application holds from start to stop: what its rooms need of it, and what works beside requests."""
+
+    workers: Workers | None
+    notifier: Notifier
+    orbit_watcher: OrbitWatcher | None
+    attention_watcher: Watcher
 
 
 def create_app(settings: Settings, *, workers: int) -> FastAPI:
@@ -105,40 +125,15 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
             "logs": False,
         },  # nobody configures it; looking costs each request
     )
-    database, store = Database(settings), open_store(settings)
-    app.state.database_id = expect_own(database, store)
-    app.state.settings = settings
-    app.state.database = database
-    app.state.store = store
-    app.state.engine = open_engine(database, store, settings, workers)
-    app.state.queue = app.state.engine.queue
-    app.state.failures = FailureLimiter(settings.auth_failures_per_minute)
-    app.state.recent = RecentKeys()
-    app.state.clock = SteadyClock()
-    app.state.issuer = open_issuer(settings)
-    app.state.texts = Texts()
-    app.state.uploads = Admission(settings.max_uploads_at_once, settings.max_uploads_per_key)
-    app.state.running = Running()
-    app.state.ingest = Ingest(database, store, app.state.queue, settings)
-    app.state.keeper = Keeper(app.state.ingest, database)
-    app.state.newest_entry = NewestEntry(database)
-    app.state.is_stopping = lambda: False
-    app.state.notifier = Notifier(database, settings)
-    app.state.stopped_sources = lambda: stopped_sources(database)
-    source = settings.orbit_source
-    app.state.orbits = None if source is None else OrbitWatcher(database, settings, source)
-    app.state.fleet = Fleet()
-    app.state.unknown_page = pages.unknown_page
-    app.state.watcher = Watcher(database, settings, app.state.queue)
+    services = _services(settings, workers)
+    install(app, services)
     app.include_router(health.router)
     api = APIRouter(prefix=API)
     for room in ROOMS:
         api.include_router(room.router)
     app.include_router(api)
     app.include_router(pages.router)
-    rooms = [room.router for room in ROOMS]
-    complete(app, API, rooms)
-    app.state.methods = Methods([("", health.router), ("", pages.router), *((API, room) for room in rooms)])
+    complete(app, API, [room.router for room in ROOMS])
     install_handlers(app)
     app.add_middleware(HeadRequests)
     app.add_middleware(RequestLimits)
@@ -150,26 +145,61 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
     return app
 
 
+def _services(settings: Settings, workers: int) -> Services:
+    """Return what the application holds, nothing of it started yet."""
+    database, store = Database(settings), open_store(settings)
+    database_id = expect_own(database, store)
+    engine = open_engine(database, store, settings, workers)
+    ingest = Ingest(database, store, engine.queue, settings)
+    source = settings.orbit_source
+    return Services(
+        settings=settings,
+        database=database,
+        database_id=database_id,
+        store=store,
+        admission=Admission(settings.max_uploads_at_once, settings.max_uploads_per_key),
+        methods=Methods([("", health.router), ("", pages.router), *((API, room.router) for room in ROOMS)]),
+        stopping=Stopping(),
+        unknown_page=pages.unknown_page,
+        failures=FailureLimiter(settings.auth_failures_per_minute),
+        recent_keys=RecentKeys(),
+        clock=SteadyClock(),
+        issuer=open_issuer(settings),
+        texts=Texts(),
+        fleet=Fleet(),
+        queue=engine.queue,
+        workers=engine.workers,
+        running=Running(),
+        ingest=ingest,
+        keeper=Keeper(ingest, database),
+        newest_entry=NewestEntry(database),
+        stopped_sources=lambda: stopped_sources(database),
+        notifier=Notifier(database, settings),
+        orbit_watcher=None if source is None else OrbitWatcher(database, settings, source),
+        attention_watcher=Watcher(database, settings, engine.queue),
+    )
+
+
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
-    engine: Engine = app.state.engine
-    left = sweep_incoming(app.state.settings)
+    services = services_of(app, Services)
+    left = sweep_incoming(services.settings)
     if left:
         log.info("incoming_swept", files=left)
-    if engine.workers is not None:
-        engine.workers.start()
-    app.state.notifier.start()
-    if app.state.orbits is not None:
-        app.state.orbits.start()
-    app.state.watcher.start()
+    if services.workers is not None:
+        services.workers.start()
+    services.notifier.start()
+    if services.orbit_watcher is not None:
+        services.orbit_watcher.start()
+    services.attention_watcher.start()
     try:
         yield
     finally:
-        await run_in_threadpool(app.state.watcher.stop)
-        if engine.workers is not None:
-            await run_in_threadpool(engine.workers.stop, STOP_GRACE_S)
-        await run_in_threadpool(app.state.keeper.close)
-        if app.state.orbits is not None:
-            await run_in_threadpool(app.state.orbits.stop)
-        await run_in_threadpool(app.state.notifier.stop)
-        app.state.database.close()
+        await run_in_threadpool(services.attention_watcher.stop)
+        if services.workers is not None:
+            await run_in_threadpool(services.workers.stop, STOP_GRACE_S)
+        await run_in_threadpool(services.keeper.close)
+        if services.orbit_watcher is not None:
+            await run_in_threadpool(services.orbit_watcher.stop)
+        await run_in_threadpool(services.notifier.stop)
+        services.database.close()

@@ -14,8 +14,9 @@ import uvicorn
 from app.access.first_key import make_first_key
 from app.errors import ServiceError, UnavailableError
 from app.http.bounded_protocol import protocol_of
+from app.http.services import services_of
 from app.logs import configure_logs
-from app.main import create_app
+from app.main import Services, create_app
 from app.settings import Settings
 from app.storage.database import Database
 from app.storage.identity import refuse_lost
@@ -67,7 +68,7 @@ def server_of(settings: Settings) -> uvicorn.Server:
         ws="none",
     )
     server = uvicorn.Server(config)
-    application.state.is_stopping = lambda: server.should_exit  # streams without an end of their own ask for it
+    services_of(application, Services).stopping.learn_from(lambda: server.should_exit)
     return server
 
 

@@ -106,6 +106,12 @@ class Settings(BaseSettings):
     orbit_url: str | None = Field(None, description="Address of an orbit message with {norad_id} in it.")
     orbit_folder: Path | None = Field(None, description="Folder of orbit messages, named by satellite or NORAD id.")
 
+    gfz_url: str = Field("https://kp.gfz.de", description="Address of GFZ's files of Kp.")
+    kyoto_url: str = Field("https://wdc.kugi.kyoto-u.ac.jp", description="Address of Kyoto's files of Dst.")
+    index_every_h: float = Field(
+        6.0, ge=1.0, description="Ask for one file of an index once in so long, h; 1 at least."
+    )
+
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="Least level that is logged.")
     log_format: Literal["json", "console"] = Field("json", description="Form of the log on stderr.")
 

@@ -26,4 +26,4 @@ Complexes = NDArray[np.complex128]
 """Complex numbers: amplitudes of waves."""
 
 Progress = Callable[[float], None]
-"""Is told the share of the work that is done, from 0 to 1."""
+"""Is called with the share of the work that is done, from 0 to 1."""

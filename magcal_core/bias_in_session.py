@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_core.calibration.estimators.registry import ESTIMATORS
+from magcal_core.calibration.estimators.registry import STEP_METHODS
 from magcal_core.calibration.observability.information import WEAK_BELOW, Observability
 from magcal_core.calibration.reasons import Reason, Verdict
-from magcal_core.calibration.refit.moments import METHODS as MOMENTS_METHODS
 from magcal_core.calibration.refit.moments import FitMoments
 from magcal_core.calibration.result import Calibration
 from magcal_core.calibration.sessions.windows import windows_of
@@ -42,9 +41,8 @@ def wants_moments(options: CalibrationOptions) -> bool:
     OptionError
         ``bias_steps`` is ``fit`` and the method takes no regressors or leaves no moments.
     """
-    is_fitting = ESTIMATORS[options.method].takes_regressors and options.method in MOMENTS_METHODS
-    if options.bias_steps == "fit" and not is_fitting:
-        raise OptionError(f"bias_steps: {options.method} cannot fit steps; scalar and vector can")
+    if options.bias_steps == "fit" and options.method not in STEP_METHODS:
+        raise OptionError(f"bias_steps: {options.method} cannot fit steps; {' and '.join(STEP_METHODS)} can")
     return options.bias_steps != "none"
 
 
@@ -63,8 +61,8 @@ def with_moving_bias(
     options = session.options
     if options.bias_steps != "none":
         # Moments are of nine parameters: what twelve explain beside them would look like steps.
-        is_full = calibration.extras.get("parameters_of") == "full"
-        steps = steps_of_session(None if is_full else moments, calibration.observability)
+        of_nine = None if calibration.has_full_matrix else moments
+        steps = steps_of_session(of_nine, calibration.observability)
         if options.bias_steps == "fit" and steps.items and moments is not None:
             fitted = again(*_with_steps_fitted(session, moments, steps))
             calibration, steps = replace(fitted, options=options.to_dict()), replace(steps, is_fitted=True)
@@ -74,7 +72,7 @@ def with_moving_bias(
         period_s = _period_s(session.orbits, calibration.data_from)
         ordered = in_time_order(session.samples)
         found = windows_of(ordered, options.windows, lambda part: again(part, one_by_one), period_s)
-        calibration = replace(calibration, extras={**calibration.extras, "windows": found.to_dict()})
+        calibration = replace(calibration, windows=found)
     return calibration
 
 
@@ -102,10 +100,9 @@ def _with_steps_fitted(session: Session, moments: FitMoments, steps: BiasSteps) 
 
 def _with_steps_named(calibration: Calibration, steps: BiasSteps) -> Calibration:
     """Return the calibration whose record names the steps, and its verdict those that its fit does not have."""
-    extras = {**calibration.extras, "bias_steps": steps.to_dict()}
     if steps.is_fitted or not steps.items:
-        return replace(calibration, extras=extras)
-    return replace(calibration, extras=extras, verdict=_weakened(calibration.verdict, steps))
+        return replace(calibration, bias_steps=steps)
+    return replace(calibration, bias_steps=steps, verdict=_weakened(calibration.verdict, steps))
 
 
 def _weakened(verdict: Verdict, steps: BiasSteps) -> Verdict:

@@ -13,8 +13,8 @@ import sys
 import time
 from typing import Final
 
+from magcal_core.calibration.estimators.registry import ESTIMATORS
 from magcal_core.calibration.result import Calibration
-from magcal_core.options import METHODS
 from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
 from magcal_core.pipeline import calibrate
 from magcal_core.simulation.dekart_mission import SESSIONS, simulated, tle_of
@@ -36,8 +36,8 @@ def main() -> None:
     """Calibrate by each method and say how far it has come, on one line."""
     begun = time.monotonic()
     with multiprocessing.get_context("spawn").Pool(min(CORES, os.cpu_count() or 1)) as pool:
-        for done, _ in enumerate(pool.imap_unordered(_compile, METHODS), 1):
-            sys.stderr.write(f"\rcompiling kernels: {done} of {len(METHODS)} methods")
+        for done, _ in enumerate(pool.imap_unordered(_compile, ESTIMATORS), 1):
+            sys.stderr.write(f"\rcompiling kernels: {done} of {len(ESTIMATORS)} methods")
             sys.stderr.flush()
     sys.stderr.write(f"\rcompiled the kernels in {time.monotonic() - begun:.0f} s       \n")
 

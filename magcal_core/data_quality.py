@@ -31,7 +31,7 @@ class DataQuality:
     ----------
     rows : all of them, ``used``: those that have weight in the fit.
     flagged : flag -> rows that bear it and are therefore in no fit.
-    rejected, rejected_share : rows that the loss put aside, and their share of those that the fit was given.
+    rejected, rejected_share : rows that the loss rejected, and their share of those that the fit was given.
     without_reading : rows that the screen, or their emptiness, keeps out.
     """
 

@@ -10,7 +10,6 @@ from typing import Final, TypedDict
 from magcal_core.errors import Fault, OptionError
 from magcal_core.field.gaps import INDEX_GAPS
 
-METHODS: Final = ("scalar", "scalar-hooke-jeeves", "vector", "vector-closed-form")
 ORBIT_MODELS: Final = ("sgp4", "numerical")
 TIME_OFFSETS: Final = ("auto", "none", "estimate")
 ROBUST_LOSSES: Final = ("auto", "none", "huber", "soft_l1", "cauchy", "tukey")
@@ -56,7 +55,7 @@ class CalibrationOptions:
 
     Attributes
     ----------
-    method : one of `METHODS`.
+    method : a key of `ESTIMATORS`.
     field, field_max_degree : field model by name; the degree that it, or its file, is cut at, None for its own.
     index_gap : ``refuse`` samples for which the index of the external field has no value, or take its ``mean``.
     quiet_only : use only samples of quiet hours, which needs Kp and an hourly index.
@@ -163,6 +162,12 @@ def _one_of(words: tuple[str, ...]) -> _Check:
     return check
 
 
+def _method(value: object) -> str | None:
+    from magcal_core.calibration.estimators.registry import ESTIMATORS
+
+    return _one_of(tuple(ESTIMATORS))(value)
+
+
 def _field_name(value: object) -> str | None:
     from magcal_core.field.models import FIELD_MODELS, is_field_name
 
@@ -215,7 +220,7 @@ def _gyro(value: object) -> str | None:
 
 
 _CHECKS: Final[Mapping[str, _Check]] = {
-    "method": _one_of(METHODS),
+    "method": _method,
     "field": _field_name,
     "field_max_degree": _whole(1, 250, may_be_none=True),
     "index_gap": _one_of(INDEX_GAPS),

@@ -12,9 +12,9 @@ from magcal_core.calibration.result import Calibration
 from magcal_core.calibration.sessions.monitoring import ActiveSet
 from magcal_core.errors import EstimationError, FrameError, UnitsError
 from magcal_core.estimation.clock import with_clock
-from magcal_core.estimation.diagnosing import diagnosed, refused, with_cause
+from magcal_core.estimation.diagnosis import diagnosed, refused, with_cause
 from magcal_core.estimation.estimate import Estimate, Prepared
-from magcal_core.estimation.judging import judged
+from magcal_core.estimation.judgement import judged
 from magcal_core.estimation.noise import with_noise
 from magcal_core.estimation.record import calibration_of
 from magcal_core.estimation.regressor_choice import with_regressors
@@ -64,7 +64,7 @@ def calibrate(
     with_moments : bool
         Whether the result keeps the moments of the fit, from which it can be made again without the samples.
     progress : callable
-        Is told the share of the work that is done, from 0 to 1.
+        Is called with the share of the work that is done, from 0 to 1.
 
     Raises
     ------

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from magcal_core.calibration.estimators.contract import FitSettings
 from magcal_core.calibration.estimators.loss import AUTO, AUTO_LOSS, fit_under_loss
-from magcal_core.calibration.estimators.registry import ESTIMATORS
+from magcal_core.calibration.estimators.registry import ESTIMATORS, is_vector_method
 from magcal_core.calibration.sessions.joint import DEFAULT_SHARED, JointFit, joint_fit
 from magcal_core.calibration.sessions.monitoring import ActiveSet, SessionJudgement, judge_session
 from magcal_core.calibration.sessions.two_magnetometers import Comparison, CorrectedReadings, compare_magnetometers
@@ -62,7 +62,7 @@ def calibrate_jointly(
         raise OptionError("regressors: a joint calibration takes them by name")
     if any(map(is_of_scale, chosen.regressors)):
         raise OptionError("regressors: a joint calibration takes those of the bias, not those of the scale")
-    is_vector = chosen.method.startswith("vector")
+    is_vector = is_vector_method(chosen.method)
     observed, begun = [], []
     for samples in sessions.values():
         referenced = Referenced.of(samples, orbits, chosen, sources)

@@ -4,8 +4,9 @@ Notes
 -----
 The session is calibrated with the orbits of each object in turn, its clock as it is: objects of one launch follow each
 other along one track, and an estimated clock would make one of the other. The objects are ranked by their residual,
-1.4826 times the median of its size. The first is told from the others where its residuals are the smaller ones in
-stretches of equal time beyond what chance does: the mean of the twelve differences is more than three times its error.
+1.4826 times the median of its size. The first is distinguished from the others where its residuals are the smaller
+ones in stretches of equal time beyond what chance does: the mean of the twelve differences is more than three times
+its error.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from magcal_core.pipeline import calibrate
 from magcal_core.samples import Samples
 
 MOST_SAMPLES: Final = 400
-"""Samples, evenly spaced, that the objects are told apart by."""
+"""Samples, evenly spaced, that the objects are distinguished by."""
 MOST_OBJECTS: Final = 200
 EXPLAINS: Final = 0.02
 """An object explains a session whose residual is below this share of the field."""

@@ -11,15 +11,13 @@ from app.aboard.schemas import AboardBody, AboardHistory, AboardRead
 from app.access.authentication import Operator, Reader
 from app.http.dependencies import Db
 from app.http.strict_json import StrictJsonRoute
-from app.parameter_sets.export import EXPORTERS, FPRIME_MEDIA_TYPE
+from app.parameter_sets.export_formats import EXPORTERS
 from app.parameter_sets.schemas import ExportQuery
 
 router = APIRouter(route_class=StrictJsonRoute, prefix="/parameter-sets", tags=["parameter sets"])
 
 
-EXPORTS: Final[dict[int | str, dict[str, Any]]] = {
-    200: {"content": {media_type: {} for media_type in (*(one for one, _ in EXPORTERS.values()), FPRIME_MEDIA_TYPE)}}
-}
+EXPORTS: Final[dict[int | str, dict[str, Any]]] = {200: {"content": {one.media_type: {} for one in EXPORTERS.values()}}}
 
 
 @router.get("/{parameter_set_id}/export", response_class=Response, responses=EXPORTS)

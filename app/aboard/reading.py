@@ -15,8 +15,7 @@ from typing import Final
 
 import yaml
 
-from app.parameter_sets.export import FPRIME_FILE
-from app.parameter_sets.fprime_file import records_of
+from app.parameter_sets.fprime_file import FPRIME_FILE, records_of
 from magcal_core.errors import InputError
 
 MOST_NUMBERS: Final = 2000
@@ -155,7 +154,7 @@ def _fprime(content: str) -> tuple[str | None, Pairs]:
     return "on-board", (pair for pair in pairs if pair[0].startswith("mgm_"))
 
 
-def _fprime_file(content: str, first_id: int) -> tuple[str | None, Pairs]:
+def _fprime_file(content: str, first_id: int = 0) -> tuple[str | None, Pairs]:
     return "on-board", _fprime_numbers(base64.b64decode(content, validate=True), first_id)
 
 
@@ -181,5 +180,6 @@ READERS: Final[Mapping[str, Callable[[str], tuple[str | None, Pairs]]]] = {
     "c": _c,
     "gomspace": _gomspace,
     "fprime": _fprime,
+    FPRIME_FILE: _fprime_file,
 }
 """Format of an export -> its reader."""

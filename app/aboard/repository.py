@@ -17,7 +17,8 @@ from app.aboard.schemas import AboardBody, AboardRead
 from app.aboard.tables import AboardReport
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
-from app.parameter_sets.export import FLIGHT_TABLES, exported
+from app.parameter_sets.export import exported
+from app.parameter_sets.export_formats import EXPORTERS
 from app.parameter_sets.repository import ParameterSetRepository
 from app.parameter_sets.schemas import ExportQuery
 from app.parameter_sets.tables import ParameterSet
@@ -90,7 +91,7 @@ class AboardRepository:
         common = numbers.keys() & aboard.keys()
         if len(common) < FEWEST_NUMBERS:
             raise ReadBackError(f"it has {len(common)} of the {len(numbers)} numbers of the export in {convention}")
-        return compare(numbers, aboard, convention, is_single=form in FLIGHT_TABLES)
+        return compare(numbers, aboard, convention, is_single=EXPORTERS[form].is_single)
 
     def _match(self, row: ParameterSet, form: str, convention: str, aboard: Mapping[str, Decimal]) -> str | None:
         """Return the newest other set of the magnetometer that what was read back is, if it is one."""

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from app.http.schemas import Body, Record, UtcTime
+from app.aboard.reading import READERS
+from app.http.schemas import Body, OneOf, Record, UtcTime
 
-Form = Literal["json", "csv", "yaml", "c", "gomspace", "fprime", "fprime-dat"]
+Form = Annotated[str, OneOf(READERS)]
 
 
 class AboardBody(Body):

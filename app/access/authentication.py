@@ -27,7 +27,8 @@ from app.access.oidc import Issuer
 from app.errors import ScopeRequiredError, TooManyFailuresError, UnauthorizedError
 from app.http.entity_tags import TRUSTED_S
 from app.http.guards import MARK
-from app.storage.database import Database, utc_now
+from app.http.services import HttpServices, services_of
+from app.storage.database import utc_now
 
 LOGIN_COOKIE: Final = "magcal_login"
 SAFE_METHODS: Final = frozenset({"GET", "HEAD", "OPTIONS"})
@@ -128,6 +129,16 @@ class RecentKeys:
         self._seen.clear()
 
 
+@dataclass(frozen=True, kw_only=True)
+class AccessServices(HttpServices):
+    """What access adds to what the application holds."""
+
+    failures: FailureLimiter
+    recent_keys: RecentKeys
+    clock: SteadyClock
+    issuer: Issuer | None
+
+
 def _mark(key: str) -> bytes:
     return hashlib.sha256(key.encode()).digest()
 
@@ -170,12 +181,10 @@ def _verify_login(session: Session, request: Request, now: datetime) -> Holder |
 
 def authenticate(request: Request) -> Caller:
     """Return the caller that the request's key, or else its login cookie, stands for, as the database has it now."""
-    database: Database = request.app.state.database
-    limiter: FailureLimiter = request.app.state.failures
+    held = services_of(request.app, AccessServices)
+    limiter, issuer = held.failures, held.issuer
     scheme, key = get_authorization_scheme_param(request.headers.get("authorization"))
-    clock: SteadyClock = request.app.state.clock
     address, asked_s = _address(request), time.monotonic()
-    issuer: Issuer | None = request.app.state.issuer
     if issuer is not None and scheme.lower() == "bearer" and issuer.is_token(key):
         try:
             return issuer.caller(key, address, request.state.request_id)
@@ -183,11 +192,11 @@ def authenticate(request: Request) -> Caller:
             limiter.check(f"address {address}")
             limiter.note(f"address {address}")
             raise
-    with database.read() as session:
+    with held.database.read() as session:
         if scheme.lower() == "bearer":
-            holder = verify_key(session, key, clock.now())
+            holder = verify_key(session, key, held.clock.now())
         else:
-            holder = None if scheme else _verify_login(session, request, clock.now())
+            holder = None if scheme else _verify_login(session, request, held.clock.now())
     if holder is None:
         form = KEY_FORM.fullmatch(key)
         suspects = [f"address {address}", *([f"key {form[1]}"] if form else [])]
@@ -196,8 +205,7 @@ def authenticate(request: Request) -> Caller:
             limiter.note(*suspects)
         raise UnauthorizedError
     if scheme:
-        recent: RecentKeys = request.app.state.recent
-        recent.note(key, asked_s, holder)
+        held.recent_keys.note(key, asked_s, holder)
     return _caller(holder, request)
 
 
@@ -207,7 +215,7 @@ def _caller(holder: Holder, request: Request) -> Caller:
 
 async def identify(request: Request) -> Caller:
     """Return the caller that the request's key stands for, as the database had it `TRUSTED_S` ago at the earliest."""
-    recent: RecentKeys = request.app.state.recent
+    recent = services_of(request.app, AccessServices).recent_keys
     scheme, key = get_authorization_scheme_param(request.headers.get("authorization"))
     found = recent.find(key) if scheme.lower() == "bearer" else None
     if found is None and scheme.lower() == "bearer":
@@ -245,7 +253,7 @@ def require(*scopes: Scope) -> Callable[[Request, object], Coroutine[None, None,
         known: Caller | None = getattr(request.state, "caller", None)
         caller = request.state.caller = await identify(request) if known is None else known
         if not caller.may(*scopes):
-            recent: RecentKeys = request.app.state.recent
+            recent = services_of(request.app, AccessServices).recent_keys
             recent.drop(get_authorization_scheme_param(request.headers.get("authorization"))[1])
             raise ScopeRequiredError(f"the key needs the scope {names}")
         return caller

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query, Request
 from sqlalchemy import select
 
 from app.access.audit_trail import AuditEvent
-from app.access.authentication import Administrator
+from app.access.authentication import AccessServices, Administrator
 from app.access.caller import Caller
 from app.access.key_repository import KeyRepository
 from app.access.key_schemas import AuditRead, KeyCreate, KeyCreated, KeyRead
@@ -16,6 +16,7 @@ from app.errors import ScopeRequiredError
 from app.http.dependencies import Db
 from app.http.paging import fetch_page
 from app.http.schemas import Page, PageQuery
+from app.http.services import services_of
 from app.http.strict_json import StrictJsonRoute
 
 router = APIRouter(route_class=StrictJsonRoute, tags=["keys"])
@@ -51,7 +52,7 @@ def revoke_key(key_id: str, request: Request, caller: Administrator, db: Db) -> 
     refuse_bound(caller)
     with db.write() as session:
         revoked = KeyRead.model_validate(KeyRepository(session, caller).revoke(key_id))
-    request.app.state.recent.forget()
+    services_of(request.app, AccessServices).recent_keys.forget()
     return revoked
 
 

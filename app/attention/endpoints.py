@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query, Request
@@ -13,14 +14,21 @@ from app.attention.repository import AttentionRepository
 from app.attention.schemas import AcknowledgeBody, AttentionPage, AttentionQuery, AttentionRead, FleetPage, FleetQuery
 from app.http.dependencies import Db
 from app.http.schemas import Identifier
+from app.http.services import services_of
 from app.http.strict_json import StrictJsonRoute
 
 router = APIRouter(route_class=StrictJsonRoute, tags=["attention"])
 
 
+@dataclass(frozen=True, kw_only=True)
+class AttentionServices:
+    """What attention adds to what the application holds."""
+
+    fleet: Fleet
+
+
 async def _fleet(request: Request) -> Fleet:
-    fleet: Fleet = request.app.state.fleet
-    return fleet
+    return services_of(request.app, AttentionServices).fleet
 
 
 Known = Annotated[Fleet, Depends(_fleet)]

@@ -11,6 +11,7 @@ from sqlalchemy import ColumnElement, Select, and_, func, select
 from sqlalchemy.orm import InstrumentedAttribute, Session, aliased, join, outerjoin
 
 from app.aboard.repository import NotAboard, not_aboard
+from app.attention.tables import SetLife
 from app.jobs.tables import Job, JobSession
 from app.orbits.tables import OrbitRow
 from app.parameter_sets.tables import Activation, ParameterSet, ParameterSetSession
@@ -86,6 +87,16 @@ class JobFacts:
 
 
 @dataclass(frozen=True, slots=True)
+class LifeFacts:
+    """Until when a set in force is good by the trend of its magnetometer's sets; None where that is not told."""
+
+    parameter_set_id: str
+    until: datetime | None
+    share: float
+    is_capped: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Situation:
     """One magnetometer with what is known of it, and its satellite's limits of age."""
 
@@ -105,6 +116,7 @@ class Situation:
     orbit: OrbitFacts | None = None
     job: JobFacts | None = None
     aboard: NotAboard | None = None
+    life: LifeFacts | None = None
     extra: Mapping[str, object] = field(default_factory=dict)
 
     @property
@@ -131,6 +143,7 @@ def situations(session: Session, satellites: Sequence[str] | None = None) -> lis
         _jobs(session, of),
     )
     aboard = {(one.satellite_id, one.magnetometer_id): one for one in not_aboard(session)} if active else {}
+    lives = _lives(session, of)
     rows = session.execute(
         select(Magnetometer, Satellite).join(Satellite, Satellite.id == Magnetometer.satellite_id)
         .where(*of(Magnetometer.satellite_id)).order_by(Magnetometer.satellite_id, Magnetometer.id)
@@ -142,7 +155,7 @@ def situations(session: Session, satellites: Sequence[str] | None = None) -> lis
             satellite.orbit_stale_days or ORBIT_STALE_DAYS,
             satellite.station_silent_hours or STATION_SILENT_HOURS,
             active.get(place), newest.get(place), last.get(place), received.get(place), orbits.get(satellite.id),
-            jobs.get(place), aboard.get(place),
+            jobs.get(place), aboard.get(place), lives.get(place),
         )
         for sensor, satellite in rows
         for place in [(satellite.id, sensor.id)]
@@ -256,6 +269,13 @@ def _jobs(session: Session, of: _Reach) -> Facts:
     rows = session.execute(statement).all()
     links = _links(session, JobSession.job_id, JobSession.session_id, [row[2] for row in rows if row[3] != "succeeded"])
     return {(row[0], row[1]): replace(JobFacts(*row[2:]), session_ids=links.get(row[2], ())) for row in rows}
+
+
+def _lives(session: Session, of: _Reach) -> Facts:
+    row_of = SetLife
+    columns = (row_of.parameter_set_id, row_of.until, row_of.share, row_of.is_capped)
+    statement = select(row_of.satellite_id, row_of.magnetometer_id, *columns).where(*of(row_of.satellite_id))
+    return {(row[0], row[1]): LifeFacts(*row[2:]) for row in session.execute(statement)}
 
 
 def _links(

@@ -47,3 +47,20 @@ class AttentionAcknowledgement(Base):
     until: Mapped[datetime | None]
     at: Mapped[datetime]
     by: Mapped[str | None] = mapped_column(String(32))
+
+
+class SetLife(Base):
+    """Until when a magnetometer's set in force is good by the trend of its sets, for the sets that there were then."""
+
+    __tablename__ = "set_life"
+    __table_args__ = (
+        ForeignKeyConstraint(["satellite_id", "magnetometer_id"], ["magnetometer.satellite_id", "magnetometer.id"]),
+    )
+
+    satellite_id: Mapped[str] = mapped_column(String(63), primary_key=True)
+    magnetometer_id: Mapped[str] = mapped_column(String(63), primary_key=True)
+    parameter_set_id: Mapped[str] = mapped_column(String(32))
+    newest_set_id: Mapped[str] = mapped_column(String(32))
+    until: Mapped[datetime | None]
+    share: Mapped[float]
+    is_capped: Mapped[bool]

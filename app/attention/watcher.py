@@ -17,6 +17,7 @@ from sqlalchemy.orm import Session
 
 from app.access.caller import SYSTEM
 from app.attention.entries import Entry, standing
+from app.attention.lives import tell_lives
 from app.attention.situation import situations
 from app.attention.tables import AttentionRaised
 from app.jobs.kinds.monitoring import MonitoringBody
@@ -92,7 +93,8 @@ class Watcher:
         is_news = newest != self._seen and begun_s >= self._rested_s
         if not is_news and begun_s - self._swept_s < SWEEP_EVERY_S:
             return
-        self._seen, self._swept_s = newest, begun_s
+        is_more = tell_lives(self._database)
+        self._seen, self._swept_s = -1 if is_more else newest, begun_s
         tell_changes(self._database)
         self._rested_s = time.monotonic() + REST * (time.monotonic() - begun_s)
 
@@ -129,20 +131,23 @@ def tell_changes(database: Database) -> None:
     over = [row for row in told.values() if row.entry_id not in found]
     if not raised and not over:
         return
-    with database.write() as session:
-        gone = [row.entry_id for row in over] + [entry.id for entry in raised]
-        for start in range(0, len(gone), 500):
-            session.execute(delete(AttentionRaised).where(AttentionRaised.entry_id.in_(gone[start : start + 500])))
-        session.add_all(_row(entry) for entry in raised)
-        session.flush()
-        cleared = (
-            attention_changed(
-                is_raised=False, cause=row.code, reason="over", satellite_id=row.satellite_id,
-                magnetometer_id=row.magnetometer_id, details={"id": row.entry_id, "severity": row.severity},
-            )
-            for row in over
-        )  # fmt: skip
-        outbox.append(session, [*cleared, *(_event(entry) for entry in raised)])
+    database.transact(lambda session: _tell(session, raised, over))
+
+
+def _tell(session: Session, raised: Sequence[Entry], over: Sequence[AttentionRaised]) -> None:
+    gone = [row.entry_id for row in over] + [entry.id for entry in raised]
+    for start in range(0, len(gone), 500):
+        session.execute(delete(AttentionRaised).where(AttentionRaised.entry_id.in_(gone[start : start + 500])))
+    session.add_all(_row(entry) for entry in raised)
+    session.flush()
+    cleared = (
+        attention_changed(
+            is_raised=False, cause=row.code, reason="over", satellite_id=row.satellite_id,
+            magnetometer_id=row.magnetometer_id, details={"id": row.entry_id, "severity": row.severity},
+        )
+        for row in over
+    )  # fmt: skip
+    outbox.append(session, [*cleared, *(_event(entry) for entry in raised)])
 
 
 def _is_news(entry: Entry, told: AttentionRaised | None) -> bool:

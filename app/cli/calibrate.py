@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -21,20 +21,23 @@ from app.cli.options import (
     OUTPUT_FILE,
     ColumnMap,
     F,
+    FieldModels,
     LateProgress,
+    Names,
+    TableFile,
     Windows,
     added,
     field_options,
     orbits_of_file,
     sources_of,
     usage_error,
+    write_table,
 )
 from magcal_core.errors import InputError, MagcalError, OptionError
 from magcal_core.options import (
     BIAS_STEPS,
     GYRO_UNITS,
     LOCKED_TERMS,
-    METHODS,
     NOISE_MODELS,
     ORBIT_MODELS,
     RESPONSES,
@@ -54,6 +57,18 @@ if TYPE_CHECKING:
 STDIN: Final = "-"
 
 
+def _formats() -> Collection[str]:
+    from magcal_core.telemetry.formats import READERS
+
+    return READERS
+
+
+def _methods() -> Collection[str]:
+    from magcal_core.calibration.estimators.registry import ESTIMATORS
+
+    return ESTIMATORS
+
+
 def telemetry_options(function: F) -> F:
     """Add the options of how telemetry is read."""
     return added(function, [
@@ -61,7 +76,7 @@ def telemetry_options(function: F) -> F:
                      help="Unit of the readings."),
         click.option("--nt-per-count", type=float, help="nT in one count, where the unit is counts."),
         click.option("--columns", type=ColumnMap(), help='The file\'s own names: {"time": "ts", "bx": "mag_0", ...}.'),
-        click.option("--format", "kind", type=click.Choice(["csv", "ndjson", "json", "parquet"]),
+        click.option("--format", "kind", type=Names(_formats),
                      help="Format.  [default: told by the file's ending or its first bytes]"),
         click.option("--range", "range_nt", type=float, help="Range of the sensor, nT: readings beyond are saturated."),
         click.option("--time-scale", type=click.Choice(["utc", "gps"]), default="utc", show_default=True),
@@ -94,8 +109,7 @@ def _orbit_options(function: F) -> F:
                      help="TLEs of other objects: where the fit fails, the one that explains the readings is named."),
         click.option("--orbit", type=click.Choice(ORBIT_MODELS), help="How elements are propagated.  [default: sgp4]"),
         click.option("--max-orbit-age-days", type=float, help="Refuse orbits further from the data.  [default: 14]"),
-        click.option("--field", help="Field model: igrf, igrf-14, igrf-13, dipole, file, +file, +rc, +dst, +mean.  "
-                                     "[default: igrf]"),
+        click.option("--field", type=FieldModels(), help="Field model.  [default: igrf]"),
         click.option("--field-max-degree", type=int, help="Cut the field model at this degree."),
     ])  # fmt: skip
 
@@ -103,7 +117,7 @@ def _orbit_options(function: F) -> F:
 def _estimation_options(function: F) -> F:
     """Add the options of what is estimated, and how."""
     return added(function, [
-        click.option("--method", type=click.Choice(METHODS), help="Estimator.  [default: scalar]"),
+        click.option("--method", type=Names(_methods), help="Estimator.  [default: scalar]"),
         click.option("--time-offset", type=click.Choice(TIME_OFFSETS), help="Clock offset.  [default: auto]"),
         click.option("--time-drift", is_flag=True, default=None, help="Estimate a drift of the clock as well."),
         click.option("--regressors", help="Columns that move the bias: a,b,.. or auto; a*h: the scale."),
@@ -134,7 +148,7 @@ def _estimation_options(function: F) -> F:
 @telemetry_options
 @click.option("--active", type=INPUT_FILE, help="Parameter set in force: the verdict tells where the new one differs.")
 @click.option("--json", "as_json", is_flag=True, help="Print the parameter set as JSON.")
-@click.option("--residuals", type=OUTPUT_FILE, help="Write the residual table: .csv, .ndjson, .json or .parquet.")
+@click.option("--residuals", type=TableFile(), help="Write the residual table.")
 @click.option("-o", "--output", type=OUTPUT_FILE, help="Write the parameter set as JSON to this file too.")
 def command(
     *,
@@ -171,11 +185,8 @@ def command(
     """
     from magcal_core.pipeline import calibrate
     from magcal_core.reference.columns import orbit_spans
-    from magcal_core.telemetry import format_of_name
 
     options = _options(asked)
-    if residuals is not None and format_of_name(residuals) is None:
-        raise click.UsageError(f"{residuals}: the ending tells no format; use .csv, .ndjson, .json or .parquet")
     orbits = [orbit for path in (*tle, *state, *orbit_file) for orbit in orbits_of_file(path)]
     candidates = [orbit for path in candidate_tles for orbit in orbits_of_file(path)]
     declared = Declared(nt_per_count, time_format, time_epoch, fill_values, validity_column, valid_values)
@@ -358,6 +369,5 @@ def parameter_set(calibration: Calibration, inputs: list[dict[str, object]]) -> 
 
 def _write_residuals(calibration: Calibration, path: Path) -> None:
     from app.records.residual_table import residual_table
-    from magcal_core.telemetry import WRITERS, format_of_name
 
-    path.write_bytes(WRITERS[format_of_name(path) or "csv"](residual_table(calibration.residuals)))
+    write_table(residual_table(calibration.residuals), path)

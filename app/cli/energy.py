@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from app.cli.options import INPUT_FILE, OUTPUT_FILE, orbits_of_file, usage_error
+from app.cli.options import INPUT_FILE, OUTPUT_FILE, Names, orbits_of_file, usage_error
 from magcal_core.errors import OptionError
 
 if TYPE_CHECKING:
@@ -18,8 +19,17 @@ if TYPE_CHECKING:
     from magcal_core.energy.balance import EnergyBalance
     from magcal_core.orbit import Orbit
 
-FORMS = ("corrected", "printed", "static-tide", "no-correction", "frame-rate", "rotation-wrong-sign", "no-rotation",
-         "rotation-about-itrf-z", "rotation-about-gcrf-z", "dissipation-inertial")  # fmt: skip
+
+def _forms() -> Collection[str]:
+    from magcal_core.energy.terms import FORMS
+
+    return FORMS
+
+
+def _methods() -> Collection[str]:
+    from magcal_core.energy.options import METHODS
+
+    return METHODS
 
 
 @click.command("energy")
@@ -34,9 +44,9 @@ FORMS = ("corrected", "printed", "static-tide", "no-correction", "frame-rate", "
 @click.option("--degree", type=int, default=12, show_default=True, help="Degree and order of EGM96, 0 to 36.")
 @click.option("--third-bodies/--no-third-bodies", default=True, show_default=True, help="Sun and Moon.")
 @click.option("--tide", is_flag=True, help="Solid tide, k2 = 0.30.")
-@click.option("--form", type=click.Choice(FORMS), default="corrected", show_default=True)
+@click.option("--form", type=Names(_forms), default="corrected", show_default=True)
 @click.option("--recover", type=int, help="Recover C_nm, S_nm up to this degree.")
-@click.option("--method", type=click.Choice(["least-squares", "collocation", "semi-analytic"]),
+@click.option("--method", type=Names(_methods),
               default="least-squares", show_default=True, help="Of the recovery.")  # fmt: skip
 @click.option("--noise-position-m", type=float, default=0.0, help="White noise that the recovery sees, 1 sigma.")
 @click.option("--noise-velocity-m-s", type=float, default=0.0, help="White noise that the recovery sees, 1 sigma.")

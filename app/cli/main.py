@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import click
 
+from app.kernels import bring_kernels
 from magcal_client.errors import ClientError, one_line
 from magcal_core.errors import InputError, MagcalError
 
@@ -26,6 +27,7 @@ COMMANDS: Final[dict[str, str]] = {
     "trend": "Parameters over many sets: where they are now, how long the active set stays good.",
     "pull": "Pull telemetry from a Yamcs, SatNOGS or HAPI archive.",
     "orbits": "Keep the satellites' orbits fresh from a catalogue.",
+    "indices": "Fetch indices of the external field from where they are published.",
     "which-object": "Tell of which object of a launch telemetry is, by the residuals that each one's orbit leaves.",
     "report": "The report of a parameter set as one HTML file, or PDF.",
     "convert": "Convert parameters between conventions, loss-free.",
@@ -66,6 +68,7 @@ def magcal() -> None:
 def run(argv: list[str] | None = None) -> Any:
     """Run `magcal` and turn failures into one line on stderr and an exit status: 0 done, 1 failed, 2 wrong usage."""
     try:
+        bring_kernels()
         return magcal.main(args=argv, prog_name="magcal", standalone_mode=True)
     except InputError as error:
         lines = [f"magcal: {error.code}: {error.message}", *(f"  {fault}" for fault in error.faults)]

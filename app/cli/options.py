@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
@@ -16,6 +16,8 @@ from magcal_core.field.gaps import INDEX_GAPS
 
 if TYPE_CHECKING:
     import numpy as np
+    import pyarrow as pa
+    from click.shell_completion import CompletionItem
     from rich.progress import Progress, TaskID
 
     from magcal_core.field.sources import FieldSources
@@ -89,6 +91,72 @@ class Windows(click.ParamType[float | str]):
             return float(str(value))
         except ValueError:
             self.fail(f"{value!r}: want hours, or auto", param, ctx)
+
+
+class Names(click.ParamType[str]):
+    """One of the names of a registry, which is loaded only when a name or the help is asked for."""
+
+    name = "choice"
+
+    def __init__(self, load: Callable[[], Collection[str]]) -> None:
+        self._load = load
+
+    def _choice(self) -> click.Choice[str]:
+        return click.Choice(list(self._load()))
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str | None:
+        """Return the names as the help shows them."""
+        return self._choice().get_metavar(param, ctx)
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Return the name, which must be one of the registry."""
+        return self._choice().convert(str(value), param, ctx)
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Return the names that begin so."""
+        return self._choice().shell_complete(ctx, param, incomplete)
+
+
+class FieldModels(click.ParamType[str]):
+    """The name of a field model; its parts are looked at where the model is made."""
+
+    name = "MODEL"
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str | None:
+        """Return the parts of a name as the help shows them."""
+        from magcal_core.field.external import EXTERNAL_KINDS
+        from magcal_core.field.models import MAIN_FIELDS
+
+        return f"{'|'.join(MAIN_FIELDS)}|file[+file][{'|'.join(f'+{kind}' for kind in EXTERNAL_KINDS)}]"
+
+
+class TableFile(click.Path):
+    """A file that a table is written to; its ending is its format, and an ending of compression may follow."""
+
+    def __init__(self) -> None:
+        super().__init__(dir_okay=False, writable=True, path_type=Path)
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str | None:
+        """Return the endings as the help shows them."""
+        from magcal_core.telemetry.formats import SUFFIXES, WRITERS
+
+        return f"FILE{'|'.join(suffix for suffix, form in SUFFIXES.items() if form in WRITERS)}"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """Return the path; its ending must be that of a format that is written."""
+        from magcal_core.telemetry.formats import WRITERS, format_of_name, suffixes_of
+
+        path = Path(super().convert(value, param, ctx))  # type: ignore[arg-type]
+        if format_of_name(path) not in WRITERS:
+            self.fail(f"{path}: the ending is that of no format; use {suffixes_of(WRITERS)}", param, ctx)
+        return path
+
+
+def write_table(table: pa.Table, path: Path) -> None:
+    """Write a table in the format of the path's ending."""
+    from magcal_core.telemetry.formats import WRITERS, format_of_name
+
+    path.write_bytes(WRITERS[str(format_of_name(path))](table))
 
 
 class VectorCommand(click.Command):

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from magcal_core.calibration.residuals import ResidualTable
 
 IDENTIFIER: Final = re.compile(r"[0-9a-f]{32}")
-FORMATS: Final = {".csv": "csv", ".json": "json", ".ndjson": "ndjson", ".jsonl": "ndjson", ".parquet": "parquet"}
 FILE: Final = click.Path(exists=True, dir_okay=False, path_type=Path)
 
 
@@ -23,7 +22,9 @@ FILE: Final = click.Path(exists=True, dir_okay=False, path_type=Path)
 @click.argument("source", metavar="PARAMETER_SET|RESULT.json")
 @click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), default=Path("report.html"),
               show_default=True, help="File to write; one that ends in .pdf is printed.")  # fmt: skip
-@click.option("--residuals", type=FILE, help="Residual table of RESULT.json: CSV, JSON, NDJSON or Parquet.")
+@click.option(
+    "--residuals", type=FILE, help="Residual table of RESULT.json, as `magcal calibrate --residuals` writes it."
+)
 @click.option("--pointing", is_flag=True, help="Add how well attitude by magnetometer would point with it.")
 @click.option("--pdf", is_flag=True, help="Print a PDF beside the HTML, through an installed Chromium.")
 @click.option("--url", envvar="MAGCAL_URL", default="http://127.0.0.1:8000", show_default=True,
@@ -66,13 +67,15 @@ def command(
 def _of_files(result: Path, residuals: Path | None) -> tuple[ParameterSetRecord, ResidualTable | None]:
     from app.records.parameter_set import parse_parameter_set
     from app.records.residual_table import read_residuals
+    from magcal_core.telemetry.formats import FORMATS, format_of_name, suffixes_of
 
     record = parse_parameter_set(result.read_bytes())
     if residuals is None:
         return record, None
-    form = FORMATS.get(residuals.suffix.lower())
-    if form is None:
-        raise click.BadParameter(f"want a file that ends in one of {', '.join(FORMATS)}", param_hint="--residuals")
+    form = format_of_name(residuals)
+    if form is None or FORMATS[form].arrow is None:
+        readable = {name: one for name, one in FORMATS.items() if one.arrow is not None}
+        raise click.BadParameter(f"want a file that ends in {suffixes_of(readable)}", param_hint="--residuals")
     return record, read_residuals(residuals.read_bytes(), form)
 
 

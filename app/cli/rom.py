@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 import click
 
+from app.cli.options import FieldModels
+from magcal_core.attitude.option_values import CHOICES
 from magcal_core.errors import InputError, OptionError
 
 if TYPE_CHECKING:
@@ -61,8 +63,8 @@ def _orbit_options(function: F) -> F:
         click.option("--u0-deg", type=float, default=0.0, help="Argument of latitude at the start."),
         click.option("--raan-deg", type=float, default=0.0, help="Right ascension of the ascending node."),
         click.option("--epoch", help="UTC of the start; without it 2020-01-01 with Greenwich on the X axis."),
-        click.option("--field", default="dipole", show_default=True, help="True field: dipole, igrf, igrf-13, ..."),
-        click.option("--onboard-field", help="Field model of the control law; the true field without it."),
+        click.option("--field", type=FieldModels(), default="dipole", show_default=True, help="True field."),
+        click.option("--onboard-field", type=FieldModels(), help="Field of the control law; the true one without it."),
         click.option("--duration-s", "--duration", type=float, default=10_000.0, show_default=True),
         click.option("--dt-s", "--dt", type=float, default=0.5, show_default=True, help="Control period."),
     )):  # fmt: skip
@@ -74,14 +76,14 @@ def _control_options(function: F) -> F:
     """Add the options of start, programme, law and body."""
     for option in reversed((
         click.option("--start", "start_deg", type=NUMBERS, default="0,0,0", help="psi,theta,gamma at the start, deg."),
-        click.option("--start-rate", type=click.Choice(["inertial", "orbital", "body"]), default="inertial",
+        click.option("--start-rate", type=click.Choice(CHOICES["start_rate"]), default="inertial",
                      show_default=True, help="None in inertial space, the orbit's, or the orbit's along body axes."),
         click.option("--turn", "turn_deg", type=NUMBERS, help="Programmed turn psi,theta,gamma, deg."),
         click.option("--ramp-s", type=float, default=0.0, help="Duration of the turn; 0 for a step."),
         click.option("--kp", "kp_nm", type=float, default=0.05, show_default=True, help="Nm."),
         click.option("--kd", "kd_nms", type=float, default=20.0, show_default=True, help="Nms."),
         click.option("--propose-gains", "use_proposed_gains", is_flag=True, help="Gains for this orbit and body."),
-        click.option("--form", type=click.Choice(["corrected", "printed"]), default="corrected", show_default=True),
+        click.option("--form", type=click.Choice(CHOICES["form"]), default="corrected", show_default=True),
         click.option("--guard", is_flag=True, help="Turn away from the degenerate set, |q~| < 0.05."),
         click.option("--feed-forward", is_flag=True, help="Let the wheels take up the gyroscopic torque."),
         click.option("--inertia", "inertia_kg_m2", type=NUMBERS, default="70,90,80", show_default=True,

@@ -11,9 +11,10 @@ import click
 
 from app.cli.options import (
     INPUT_FILE,
-    OUTPUT_FILE,
     F,
+    FieldModels,
     Numbers,
+    TableFile,
     VectorCommand,
     added,
     field_options,
@@ -67,12 +68,12 @@ def _disturbance_options(function: F) -> F:
 @click.option("--rate", "rate_deg_s", type=Numbers(1, 3), default="0.76", show_default=True,
               help="Tumbling rate, deg/s: its size, or its body components.")  # fmt: skip
 @click.option("--inertia", type=VECTOR, help="Principal moments, any unit.  [default: those of a 7.5 kg box]")
-@click.option("--field", default="igrf", show_default=True, help="Field model: igrf, igrf-13, dipole, igrf-14+rc, ...")
+@click.option("--field", default="igrf", show_default=True, type=FieldModels(), help="Field model.")
 @field_options
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @_disturbance_options
-@click.option("-o", "--output", type=OUTPUT_FILE, required=True,
-              help="Telemetry: .csv, .ndjson, .json or .parquet, and .gz or .zst after it.")  # fmt: skip
+@click.option("-o", "--output", type=TableFile(), required=True,
+              help="Telemetry; .gz or .zst may come after its ending.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print the truth as JSON.")
 def command(
     *,
@@ -106,13 +107,9 @@ def command(
     from magcal_core.field.models import field_model
     from magcal_core.sensor.model import SensorModel
     from magcal_core.simulation.telemetry import DEKART_MOMENTS, Disturbances, simulate
-    from magcal_core.telemetry import format_of_name
 
     if (tle is None) == (state is None):
         raise click.UsageError("want exactly one of --tle and --state")
-    kind = format_of_name(output)
-    if kind is None:
-        raise click.UsageError(f"{output}: the ending tells no format; use .csv, .ndjson, .json or .parquet")
     t_start = None if start is None else _instant(start)
     orbit = _orbit(tle, state, t_start)
     sources = sources_of(index, field_file)
@@ -134,7 +131,7 @@ def command(
         )
     except OptionError as error:
         raise usage_error(error) from error
-    truth = _write(simulation, output, kind)
+    truth = _write(simulation, output)
     if as_json:
         click.echo(json.dumps({"telemetry": str(output), "truth": simulation.truth}))
     else:
@@ -158,13 +155,13 @@ def _orbit(tle: Path | None, state: Path | None, start: np.datetime64 | None) ->
     return orbits[0] if start is None else nearest(orbits, start)
 
 
-def _write(simulation: Simulation, output: Path, kind: str) -> Path:
+def _write(simulation: Simulation, output: Path) -> Path:
     """Write telemetry and truth; return where the truth is."""
     import zstandard
 
-    from magcal_core.telemetry import write_samples
+    from magcal_core.telemetry import format_of_name, write_samples
 
-    body = write_samples(simulation.samples, kind)
+    body = write_samples(simulation.samples, str(format_of_name(output)))
     if output.suffix == ".gz":
         body = gzip.compress(body, mtime=0)
     elif output.suffix in {".zst", ".zstd"}:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from app.cli.options import INPUT_FILE, OUTPUT_FILE
+from app.cli.options import INPUT_FILE, TableFile, write_table
 from magcal_core.errors import InputError, TimeError
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class Instant(click.ParamType[int]):
 @click.option("--at", type=Instant(), help="Time that the trend is told for.  [default: the end of the last data]")
 @click.option("--share", type=float, default=0.01, show_default=True, help="Share of the field that a set may be off.")
 @click.option("--field-nt", type=float, default=40_000.0, show_default=True, help="Field that errors are told for, nT.")
-@click.option("--series", type=OUTPUT_FILE, help="Write the trend over time: .csv, .ndjson, .json or .parquet.")
+@click.option("--series", type=TableFile(), help="Write the trend over time.")
 @click.option("--json", "as_json", is_flag=True, help="Print the trend as JSON.")
 def command(
     *, files: tuple[Path, ...], at: int | None, share: float, field_nt: float, series: Path | None, as_json: bool
@@ -56,10 +56,7 @@ def command(
     import numpy as np
 
     from magcal_core.calibration.sessions.trend import trend
-    from magcal_core.telemetry import format_of_name
 
-    if series is not None and format_of_name(series) is None:
-        raise click.UsageError(f"{series}: the ending tells no format; use .csv, .ndjson, .json or .parquet")
     sets = [one for path in files for one in _sets(path)]
     found = trend(sets, None if at is None else np.datetime64(at, "ns"), share, field_nt)
     if series is not None:
@@ -92,10 +89,8 @@ def _sets(path: Path) -> list[Mapping[str, object]]:
 
 def _write(found: Trend, path: Path) -> None:
     from app.monitoring.trend_table import POINTS, series_of, trend_table
-    from magcal_core.telemetry import WRITERS, format_of_name
 
-    table = trend_table(series_of(found, None, None, POINTS))
-    path.write_bytes(WRITERS[format_of_name(path) or "csv"](table))
+    write_table(trend_table(series_of(found, None, None, POINTS)), path)
 
 
 def _print(found: Trend) -> None:

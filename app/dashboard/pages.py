@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Final
 from urllib.parse import parse_qsl
@@ -10,13 +11,16 @@ from urllib.parse import parse_qsl
 from fastapi import APIRouter, Depends, Request, Response
 from fastapi.responses import HTMLResponse, JSONResponse, RedirectResponse
 
-from app.access.authentication import LOGIN_COOKIE, FailureLimiter, authenticate, is_same_origin, verify_key
+from app.access.authentication import LOGIN_COOKIE, AccessServices, authenticate, is_same_origin, verify_key
 from app.access.caller import Caller
 from app.access.key_repository import KEY_FORM, KeyRepository
+from app.attention.endpoints import AttentionServices
 from app.dashboard import assets, page_data
 from app.errors import TooManyFailuresError, UnauthorizedError
 from app.http.dependencies import Config, Db
+from app.http.services import services_of
 from app.http.strict_json import in_time
+from app.parameter_sets.json_listing import ListingServices
 from app.parameter_sets.reasons import REASONS
 from app.reporting.figures.page import script_json
 
@@ -37,6 +41,11 @@ PAGE_HEADERS: Final = {
 """Nothing is loaded from elsewhere and no script stands inside a page; the plot library sets style attributes."""
 MOST_FORM_BYTES: Final = 4096
 WRONG_KEY: Final = "This is not a valid key. It may have expired or been revoked."
+
+
+@dataclass(frozen=True, kw_only=True)
+class PageServices(AccessServices, AttentionServices, ListingServices):
+    """What the pages need of what the application holds; they add nothing."""
 
 
 @cache
@@ -75,7 +84,8 @@ def _page(
         return _render("login.html", title="Sign in", target=address, message="")
     name = template.replace(".html", ".js")
     script = name if name in assets.names() else "plain.js"
-    answers = page_data.brought(ask, caller, request.app.state.database, request.app.state.texts)
+    held = services_of(request.app, PageServices)
+    answers = page_data.brought(ask, caller, held.database, held.texts)
     return _render(
         template,
         status,
@@ -85,14 +95,15 @@ def _page(
         modules=assets.modules(script),
         scopes=sorted(caller.scopes),
         answers={path: script_json(text) for path, text in answers.items()},
-        counts=page_data.counts_of(request.app.state.fleet, caller, request.app.state.database),
+        counts=page_data.counts_of(held.fleet, caller, held.database),
     )
 
 
 @router.get("/")
 def overview_page(request: Request) -> HTMLResponse:
     """Show every satellite with its state at a glance."""
-    return _page(request, "overview.html", "Needs attention", page_data.of_overview(request.app.state.fleet))
+    fleet = services_of(request.app, PageServices).fleet
+    return _page(request, "overview.html", "Needs attention", page_data.of_overview(fleet))
 
 
 @router.get("/satellites/{satellite_id}")
@@ -146,7 +157,7 @@ def keys_page(request: Request) -> HTMLResponse:
 async def form_fields(request: Request) -> dict[str, str]:
     """Return the fields of a short form; what is longer than any login is no form of ours."""
     body = b""
-    async for piece in in_time(request.stream(), request.app.state.settings.request_timeout_s):
+    async for piece in in_time(request.stream(), services_of(request.app, PageServices).settings.request_timeout_s):
         body += piece
         if len(body) > MOST_FORM_BYTES:
             return {}
@@ -161,12 +172,13 @@ def log_in(
     key, target = fields.get("key", "").strip(), _own_path(fields.get("target", "/"))
     if not is_same_origin(request):
         return _render("login.html", 403, title="Sign in", target="/", message="Sign in from this site's own page.")
-    limiter: FailureLimiter = request.app.state.failures
+    held = services_of(request.app, PageServices)
+    limiter = held.failures
     form = KEY_FORM.fullmatch(key)
     address = request.client.host if request.client else "unknown"
     suspects = [f"address {address}", *([f"key {form[1]}"] if form else [])]
     with db.write() as session:
-        holder = verify_key(session, key, request.app.state.clock.now())
+        holder = verify_key(session, key, held.clock.now())
         token = None
         if holder is not None:
             caller = Caller(holder.key_id, holder.scopes, address=address, request_id=request.state.request_id)

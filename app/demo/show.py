@@ -19,8 +19,8 @@ from app.demo.tables import drift_table, parameter_table, statistics_table
 from app.logs import configure_logs
 from app.server import listen, prepare, server_of
 from app.settings import Settings, load_settings
+from magcal_core.calibration.estimators.registry import ESTIMATORS
 from magcal_core.errors import MagcalError
-from magcal_core.options import METHODS
 from magcal_core.simulation.dekart_mission import SESSIONS, Pass, simulated, tle_text
 from magcal_core.telemetry import write_samples
 
@@ -90,7 +90,7 @@ def _service(settings: Settings) -> Iterator[tuple[str, str]]:
 def _fly(client: Client, console: Console) -> list[Mission]:
     columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as bar:
-        steps = bar.add_task("registering DEKART", total=2 + len(SESSIONS) * (2 + len(METHODS)))
+        steps = bar.add_task("registering DEKART", total=2 + len(SESSIONS) * (2 + len(ESTIMATORS)))
         client.create_satellite(SATELLITE, name="DEKART", norad_id="46493", cospar_id="2020-068H")
         client.create_magnetometer(SATELLITE, MAGNETOMETER, "nT", noise_nt=100.0)
         bar.update(steps, advance=1, description="sending its TLEs")
@@ -104,7 +104,7 @@ def _fly(client: Client, console: Console) -> list[Mission]:
             session_id = str(client.upload(SATELLITE, MAGNETOMETER, telemetry, "text/csv")["id"])
             bar.update(steps, advance=1)
             found = {}
-            for method in METHODS:
+            for method in ESTIMATORS:
                 bar.update(steps, description=f"{session.name}: calibrating, {method}")
                 found[method] = client.calibrate([session_id], method=method)
                 bar.update(steps, advance=1)

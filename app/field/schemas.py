@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from app.http.schemas import Body, Identifier, Record, UtcTime
+from app.records.calibration_options import FieldName, IndexGap
 
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
 Position = Annotated[list[Coordinate], Field(min_length=3, max_length=3)]
@@ -20,10 +21,10 @@ class FieldRequest(Body):
     time: list[UtcTime] = Field(min_length=1, max_length=MOST_POINTS)
     position_km: list[Position] = Field(min_length=1, max_length=MOST_POINTS)
     frame: Literal["ITRF", "GCRF", "TEME"] = "ITRF"
-    model: str = Field("igrf", max_length=64)
+    model: FieldName = "igrf"
     max_degree: int | None = Field(None, ge=1, le=250)
     field_file: Identifier | None = Field(None, description="Coefficients, for a model with `file`.")
-    index_gap: Literal["refuse", "mean"] = Field("refuse", description="Where the index has no value.")
+    index_gap: IndexGap = Field("refuse", description="Where the index has no value.")
 
     @model_validator(mode="after")
     def _same_length(self) -> Self:

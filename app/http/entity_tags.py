@@ -14,7 +14,7 @@ from typing import Any, Final
 from fastapi import Request, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from app.storage.database import Database
+from app.http.services import HttpServices, services_of
 
 UNCHANGED: Final[dict[int | str, dict[str, Any]]] = {304: {"description": "What `If-None-Match` names is still so."}}
 API: Final = "/api/"
@@ -75,7 +75,7 @@ class Revalidation:
         if scope["type"] != "http" or scope["method"] != "GET" or not scope["path"].startswith(API):
             await self._app(scope, receive, send)
             return
-        database: Database = scope["app"].state.database
+        database = services_of(scope["app"], HttpServices).database
         revision, seen_s = database.revision(), time.monotonic()
         if revision is None or sum(name == b"host" for name, _ in scope["headers"]) != 1:
             await self._app(scope, receive, send)

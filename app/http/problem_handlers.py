@@ -15,6 +15,7 @@ from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
 
 from app.errors import ServiceError, StorageFullError, UnavailableError, _without_value
+from app.http.services import HttpServices, services_of
 from app.problems import FaultBody, Problem, problem, problem_of
 from app.storage.retry import AWAY, DAMAGED, is_contention
 from magcal_core.errors import MagcalError
@@ -103,13 +104,12 @@ def _http_error(request: Request, error: Exception) -> Response:
     if not isinstance(error, HTTPException):
         raise error
     if error.status_code == 404 and _is_a_page(request):
-        page: Response = request.app.state.unknown_page(request)
-        return page
+        return services_of(request.app, HttpServices).unknown_page(request)
     codes = {404: "not_found", 405: "method_not_allowed", 413: "upload_too_large", 400: "bad_request"}
     code: str = getattr(error, "code", codes.get(error.status_code, "http"))
     body = problem(error.status_code, code, str(error.detail))
     headers = dict(error.headers or {})
-    allowed = request.app.state.methods.of(request.url.path) if error.status_code == 405 else []
+    allowed = services_of(request.app, HttpServices).methods.of(request.url.path) if error.status_code == 405 else []
     if allowed:
         headers["Allow"] = ", ".join(allowed)
     return problem_response(body, headers)

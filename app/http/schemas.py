@@ -3,14 +3,26 @@
 from __future__ import annotations
 
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Annotated, Final, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, StringConstraints
-from pydantic_core import PydanticCustomError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    PlainSerializer,
+    StringConstraints,
+)
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, PydanticCustomError, PydanticKnownError, core_schema
 
 MAX_NAME: Final = 200
 CORE_TIMES: Final = (np.datetime64("1678-01-01", "us"), np.datetime64("2262-01-01", "us"))
@@ -70,6 +82,30 @@ def _clean_text(value: str) -> str:
     if any(unicodedata.category(c) in {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"} for c in text):
         raise PydanticCustomError("control_character", "control and format characters are not allowed")
     return text
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OneOf:
+    """Annotation of a text that is one of ``names``: those of a registry, so that a name is written down once.
+
+    Requests, the schema and messages know it as if it were a ``Literal`` of these names.
+    """
+
+    names: Collection[str]
+
+    def __get_pydantic_core_schema__(self, source: type, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Return the schema of a text that is checked afterwards."""
+        return core_schema.no_info_after_validator_function(self._checked, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        """Return the schema with the names that there are."""
+        return {**handler(schema), "enum": list(self.names)}
+
+    def _checked(self, text: str) -> str:
+        if text in self.names:
+            return text
+        *first, last = map(repr, self.names)
+        raise PydanticKnownError("literal_error", {"expected": f"{', '.join(first)} or {last}" if first else last})
 
 
 UtcTime = Annotated[datetime, BeforeValidator(parse_utc), PlainSerializer(utc_text, return_type=str)]

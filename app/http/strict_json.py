@@ -12,6 +12,7 @@ from fastapi.routing import APIRoute
 from pydantic import JsonValue
 
 from app.http.guards import admit, guards_of
+from app.http.services import HttpServices, services_of
 from app.http.unkeepable import has_unkeepable
 from app.storage.retry import retried_async
 
@@ -82,7 +83,7 @@ class StrictJsonRequest(Request):
         """Return the body; one larger than `MAX_JSON_BYTES` is refused."""
         if not hasattr(self, "_body"):
             pieces, size = [], 0
-            async for piece in in_time(self.stream(), self.app.state.settings.request_timeout_s):
+            async for piece in in_time(self.stream(), services_of(self.app, HttpServices).settings.request_timeout_s):
                 size += len(piece)
                 if size > MAX_JSON_BYTES:
                     raise BodyTooLargeError

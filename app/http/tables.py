@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import pyarrow as pa
 from fastapi import Request, Response
 
 from app.errors import NotAcceptableError
-from magcal_core.telemetry import MEDIA_TYPES, WRITERS
+from app.http.schemas import OneOf
+from magcal_core.telemetry import MEDIA_TYPES, READERS, WRITERS
+
+TableFormat = Annotated[str, OneOf(WRITERS)]
+"""A format that tables are written in."""
 
 ANYTHING: Final = frozenset({"*/*", "text/*", "application/*"})
+WRITTEN_TYPES: Final = {kind: form for kind, form in MEDIA_TYPES.items() if form in WRITERS}
+READ_TYPES: Final = {kind: form for kind, form in MEDIA_TYPES.items() if form in READERS}
+"""Media types of tables that magcal writes, and of telemetry that it reads -> format."""
 OWN_TYPES: Final = {name: next(kind for kind, form in MEDIA_TYPES.items() if form == name) for name in WRITERS}
 """Format -> the media type that magcal answers with."""
 
@@ -29,11 +36,11 @@ def wanted_format(request: Request, asked: str | None, default: str) -> str:
     for quality, media_type in sorted(liked, key=lambda one: -one[0]):
         if quality <= 0:
             continue
-        if media_type in MEDIA_TYPES:
-            return MEDIA_TYPES[media_type]
+        if media_type in WRITTEN_TYPES:
+            return WRITTEN_TYPES[media_type]
         if media_type in ANYTHING:
             return "csv" if media_type == "text/*" else default
-    raise NotAcceptableError(f"none of the accepted media types can be written; known are {', '.join(MEDIA_TYPES)}")
+    raise NotAcceptableError(f"none of the accepted media types can be written; known are {', '.join(WRITTEN_TYPES)}")
 
 
 def _weighed(part: str) -> tuple[float, str]:
@@ -60,7 +67,7 @@ TELEMETRY_BODY: Final = {
     "requestBody": {
         "description": "The telemetry; gzip and zstd as Content-Encoding.",
         "required": True,
-        "content": {kind: {"schema": {"type": "string", "format": "binary"}} for kind in MEDIA_TYPES},
+        "content": {kind: {"schema": {"type": "string", "format": "binary"}} for kind in READ_TYPES},
     }
 }
 
@@ -72,9 +79,7 @@ TABLES: Final[dict[int | str, dict[str, Any]]] = {
     200: {
         "description": "The table.",
         "content": {
-            kind: {"schema": COLUMNS if form == "json" else {"type": "string"}}
-            for kind, form in MEDIA_TYPES.items()
-            if form in WRITERS
+            kind: {"schema": COLUMNS if form == "json" else {"type": "string"}} for kind, form in WRITTEN_TYPES.items()
         },
     }
 }

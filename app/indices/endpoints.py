@@ -12,6 +12,7 @@ from app.access.caller import Caller
 from app.http.dependencies import Config, Db
 from app.http.receiving import receive
 from app.http.schemas import Page, PageQuery
+from app.http.services import HttpServices, services_of
 from app.http.strict_json import StrictJsonRoute
 from app.indices.repository import IndexRepository, require_unbound
 from app.indices.schemas import FieldFileRead, FieldFileUpload, IndexQuery, IndexRead
@@ -57,7 +58,7 @@ def _read_file(row: FieldFile) -> FieldFileRead:
 async def create_index(request: Request, response: Response, caller: Station, db: Db, config: Config) -> IndexRead:
     """Send an index file for all satellites; an hour has the value that came last."""
     require_unbound(caller)
-    async with request.app.state.uploads.place(caller):
+    async with services_of(request.app, HttpServices).admission.place(caller):
         upload = await receive(request, config, authenticate)
         found, is_new = await run_in_threadpool(_keep_index, upload.content, caller, db)
     response.status_code = 201 if is_new else 200
@@ -106,7 +107,7 @@ async def create_field_file(
 ) -> FieldFileRead:
     """Send a file of coefficients for all satellites; jobs name it by its id."""
     require_unbound(caller)
-    async with request.app.state.uploads.place(caller):
+    async with services_of(request.app, HttpServices).admission.place(caller):
         upload = await receive(request, config, authenticate)
         found, is_new = await run_in_threadpool(_keep_file, upload.content, query.name, caller, db)
     response.status_code = 201 if is_new else 200

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated
 
 from fastapi import Depends, Request
 
+from app.http.services import services_of
 from app.jobs.queue import Queue
 
 
+@dataclass(frozen=True, kw_only=True)
+class JobServices:
+    """What the jobs add to what the application holds."""
+
+    queue: Queue
+
+
 async def _queue(request: Request) -> Queue:
-    queue: Queue = request.app.state.queue
-    return queue
+    return services_of(request.app, JobServices).queue
 
 
 Jobs = Annotated[Queue, Depends(_queue)]

@@ -22,13 +22,13 @@ from app.jobs.kinds.result_series import read_series
 from app.jobs.repository import JobRepository
 from app.jobs.reprocessing import submit_reprocessing
 from app.jobs.schemas import JobPage, JobQuery, JobRead, ReprocessingBody
+from app.jobs.transitions import ENDED
 from app.parameter_sets.schemas import TableQuery
 from app.records.arrow import from_bytes
 
 router = APIRouter(route_class=StrictJsonRoute, tags=["jobs"])
 
 LOOK_EVERY_S: Final = 0.2
-ENDED: Final = frozenset({"succeeded", "failed", "cancelled"})
 
 
 @router.post("/jobs", status_code=202)
@@ -135,6 +135,24 @@ def get_series(
     with db.read() as session:
         content = read_series(session, store, JobRepository(session, caller).get(job_id))
     return table_response(write_table(from_bytes(content), form), form, f"series-{job_id}")
+
+
+@router.post("/jobs/{job_id}/retry", status_code=202)
+def retry_job(
+    job_id: str, caller: Operator, db: Db, config: Config, queue: Jobs, response: Response, key: KeyHeader = None
+) -> JobRead:
+    """Queue anew what a job that has ended was asked for; a reprocessing with all its calibrations."""
+    asked = fingerprint("POST jobs retry", job_id)
+    with db.write() as session:
+        jobs = JobRepository(session, caller)
+        made = recall(session, caller, key, asked)
+        row = jobs.retry(job_id, queue, config.max_queued_jobs) if made is None else jobs.get(made)
+        if key is not None and made is None:
+            remember(session, caller, key, asked, row.id)
+        job = jobs.read([row])[0]
+    queue.announce()
+    response.headers["Location"] = f"/api/v1/jobs/{job.id}"
+    return job
 
 
 @router.post("/jobs/{job_id}/cancel", status_code=202)

@@ -4,23 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sqlalchemy import ColumnElement, Select, func, or_, select, true, update
+from sqlalchemy import ColumnElement, Select, func, or_, select, true
 from sqlalchemy.orm import Session
 
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.errors import ConflictError, NotFoundError
 from app.http.paging import fetch_page, has_part
-from app.jobs.endings import tell_ended
 from app.jobs.fair_order import take_turns
+from app.jobs.kinds.contract import Admission
 from app.jobs.kinds.registry import JOB_KINDS
 from app.jobs.queue import Queue
 from app.jobs.quota import check_quota
-from app.jobs.reprocessing import KIND, cancel_reprocessing, progress_of, settle
+from app.jobs.reprocessing import KIND, progress_of, retry_reprocessing
 from app.jobs.schemas import JobBody, JobQuery, JobRead
 from app.jobs.tables import Job, JobSession
+from app.jobs.transitions import ENDED, cancel, cancel_sum, new_job
 from app.parameter_sets.tables import ParameterSet
-from app.storage.database import DatabaseNow, new_id, utc_now
 
 
 class JobRepository:
@@ -41,27 +41,48 @@ class JobRepository:
         if most_queued is not None:
             check_quota(self.session, self.caller, most_queued, 1)
             kind.check(self.session, admission)
-        job = Job(
-            id=new_id(),
-            kind=body.kind,
-            state="queued",
-            priority=body.priority,
+        job = self._queued(body.kind, body.priority, admission, queue)
+        record_event(self.session, self.caller, f"job.{body.kind}", job.id, job.satellite_id)
+        return job
+
+    def retry(self, job_id: str, queue: Queue, most_queued: int) -> Job:
+        """Return a new job of what the job ``job_id``, which has ended, was asked for.
+
+        Raises
+        ------
+        ConflictError
+            The job has not ended.
+        QuotaError
+            More than ``most_queued`` jobs of the caller's key would wait.
+        """
+        job = self.get(job_id)
+        if job.state not in ENDED:
+            raise ConflictError(f"the job is {job.state}: cancel it, or wait until it has ended")
+        if job.kind == KIND:
+            return retry_reprocessing(self.session, self.caller, job, queue, most_queued)
+        links = select(JobSession.session_id).where(JobSession.job_id == job_id).order_by(JobSession.session_id)
+        session_ids = self.session.scalars(links).all()
+        admission = Admission(job.request, job.satellite_id, job.magnetometer_id, session_ids, job.lock)
+        check_quota(self.session, self.caller, most_queued, 1)
+        JOB_KINDS[job.kind].check(self.session, admission)
+        made = self._queued(job.kind, job.priority, admission, queue)
+        record_event(self.session, self.caller, "job.retry", made.id, made.satellite_id, reason=f"job {job.id}")
+        return made
+
+    def _queued(self, kind: str, priority: int, admission: Admission, queue: Queue) -> Job:
+        job = new_job(
+            kind,
+            priority,
+            admission.request,
+            self.caller.key_id,
             satellite_id=admission.satellite_id,
             magnetometer_id=admission.magnetometer_id,
             lock=admission.lock,
-            request=admission.request,
-            progress=0.0,
-            attempts=0,
-            lost_attempts=0,
-            cancel_requested=False,
-            created_at=utc_now(),
-            created_by=self.caller.key_id,
         )
         take_turns(self.session, [job])
         queue.enqueue(self.session, [job])
         self.session.flush()
         self.session.add_all(JobSession(job_id=job.id, session_id=one) for one in admission.session_ids)
-        record_event(self.session, self.caller, f"job.{body.kind}", job.id, job.satellite_id)
         return job
 
     def get(self, job_id: str) -> Job:
@@ -107,28 +128,12 @@ class JobRepository:
         job = self.get(job_id)
         if job.kind != KIND:  # a reprocessing's children are locked before it
             self.session.refresh(job, with_for_update={"key_share": True})
-        if job.state not in {"queued", "running"}:
+        if job.state in ENDED:
             raise ConflictError(f"the job has {job.state} already")
-        stopped = (
-            update(Job)
-            .where(Job.id == job_id, Job.state == "queued")
-            .values(state="cancelled", cancel_requested=True, finished_at=DatabaseNow())
-            .returning(Job.id)
-            .execution_options(synchronize_session=False)
-        )
-        asked = (
-            update(Job)
-            .where(Job.id == job_id, Job.state == "running")
-            .values(cancel_requested=True)
-            .execution_options(synchronize_session=False)
-        )
         if job.kind == KIND:
-            cancel_reprocessing(self.session, job_id)
+            cancel_sum(self.session, job_id)
         else:
-            tell_ended(self.session, self.session.scalars(stopped).all())
-            self.session.execute(asked)
-            if job.parent_id is not None:
-                settle(self.session, job.parent_id)
+            cancel(self.session, job_id)
         record_event(self.session, self.caller, "job.cancel", job_id, job.satellite_id)
         self.session.flush()
         self.session.refresh(job)

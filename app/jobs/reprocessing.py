@@ -8,28 +8,26 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from sqlalchemy import exists, func, select, update
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.errors import ConflictError
 from app.indices.repository import FIELD_FILE, check_field
-from app.jobs.endings import tell_ended
 from app.jobs.fair_order import take_turns
 from app.jobs.queue import Queue
 from app.jobs.quota import check_quota
 from app.jobs.schemas import ReprocessingBody
 from app.jobs.tables import Job, JobSession
+from app.jobs.transitions import UNENDED, counts_of, new_job
 from app.records.calibration_options import as_asked
 from app.satellites.repository import SatelliteRepository, within_reach
 from app.satellites.tables import Magnetometer
 from app.sessions.tables import TelemetrySession
-from app.storage.database import DatabaseNow, new_id, utc_now
 from magcal_core.options import CalibrationOptions
 
 KIND: Final = "reprocessing"
-UNENDED: Final = ("queued", "running")
 
 
 def submit_reprocessing(
@@ -50,36 +48,74 @@ def submit_reprocessing(
         raise ConflictError("there is no closed session to reprocess")
     check_quota(session, caller, most_queued, len(chosen))
     satellites = {row.satellite_id for row in chosen}
-    parent = _job(
-        caller,
-        KIND,
-        body.priority,
-        options | file,
-        state="running",
-        satellite_id=satellites.pop() if len(satellites) == 1 else None,
-        started_at=utc_now(),
-    )
-    session.add(parent)
-    session.flush()
+    satellite_id = satellites.pop() if len(satellites) == 1 else None
+    parent = new_job(KIND, body.priority, options | file, caller.key_id, is_sum=True, satellite_id=satellite_id)
     noise_nt = _noise(session)
     jobs = [
-        _job(
-            caller,
+        new_job(
             "calibration",
             body.priority,
             as_asked(CalibrationOptions.from_dict({"noise_nt": noise_nt[_place(row)]} | body.options)) | file,
+            caller.key_id,
             satellite_id=row.satellite_id,
             magnetometer_id=row.magnetometer_id,
             parent_id=parent.id,
         )
         for row in chosen
     ]
+    _enqueue(session, queue, parent, jobs, [[row.id] for row in chosen])
+    record_event(session, caller, "job.reprocessing", parent.id, parent.satellite_id)
+    return parent
+
+
+def retry_reprocessing(session: Session, caller: Caller, ended: Job, queue: Queue, most_queued: int) -> Job:
+    """Return a new job that sums up each calibration of a reprocessing that has ended, all of them enqueued again.
+
+    One whose session has lost its telemetry since fails, and says so.
+
+    Raises
+    ------
+    QuotaError
+        With these, more than ``most_queued`` jobs of the caller's key would wait.
+    """
+    before = session.scalars(select(Job).where(Job.parent_id == ended.id).order_by(Job.id)).all()
+    if not before:
+        raise ConflictError("the calibrations of this reprocessing are no longer there")
+    check_quota(session, caller, most_queued, len(before))
+    check_field(session, ended.request)
+    links = select(JobSession.job_id, JobSession.session_id).join(Job, Job.id == JobSession.job_id)
+    sessions: dict[str, list[str]] = {one.id: [] for one in before}
+    for job_id, session_id in session.execute(links.where(Job.parent_id == ended.id)):
+        sessions[job_id].append(session_id)
+    parent = new_job(KIND, ended.priority, ended.request, caller.key_id, is_sum=True, satellite_id=ended.satellite_id)
+    jobs = [
+        new_job(
+            one.kind,
+            one.priority,
+            one.request,
+            caller.key_id,
+            satellite_id=one.satellite_id,
+            magnetometer_id=one.magnetometer_id,
+            parent_id=parent.id,
+        )
+        for one in before
+    ]
+    _enqueue(session, queue, parent, jobs, [sessions[one.id] for one in before])
+    record_event(session, caller, "job.retry", parent.id, parent.satellite_id, reason=f"job {ended.id}")
+    return parent
+
+
+def _enqueue(
+    session: Session, queue: Queue, parent: Job, jobs: Sequence[Job], session_ids: Sequence[Sequence[str]]
+) -> None:
+    """Keep ``parent`` and hand out its ``jobs``, each with its sessions."""
+    session.add(parent)
+    session.flush()
     take_turns(session, jobs)
     queue.enqueue(session, jobs)
     session.flush()
-    session.add_all(JobSession(job_id=job.id, session_id=row.id) for job, row in zip(jobs, chosen, strict=True))
-    record_event(session, caller, "job.reprocessing", parent.id, parent.satellite_id)
-    return parent
+    pairs = zip(jobs, session_ids, strict=True)
+    session.add_all(JobSession(job_id=job.id, session_id=one) for job, own in pairs for one in own)
 
 
 def _sessions(session: Session, caller: Caller, body: ReprocessingBody) -> Sequence[TelemetrySession]:
@@ -109,70 +145,8 @@ def _noise(session: Session) -> dict[tuple[str, str], float | None]:
     return {(satellite_id, magnetometer_id): noise_nt for satellite_id, magnetometer_id, noise_nt in rows}
 
 
-def _job(caller: Caller, kind: str, priority: int, request: dict[str, object], **values: object) -> Job:
-    plain: dict[str, object] = {"state": "queued", "progress": 0.0, "attempts": 0, "lost_attempts": 0}
-    own = {"id": new_id(), "kind": kind, "priority": priority, "request": request, "cancel_requested": False}
-    return Job(**(plain | own | {"created_at": utc_now(), "created_by": caller.key_id} | values))
-
-
 def progress_of(session: Session, parent_id: str) -> float:
     """Return the share of a reprocessing's calibrations that have ended."""
-    counts = _counts(session, parent_id)
+    counts = counts_of(session, parent_id)
     total = sum(counts.values())
     return 1.0 if not total else 1.0 - sum(counts.get(state, 0) for state in UNENDED) / total
-
-
-def _counts(session: Session, parent_id: str) -> dict[str, int]:
-    states = select(Job.state, func.count()).where(Job.parent_id == parent_id).group_by(Job.state)
-    return {str(state): int(count) for state, count in session.execute(states)}
-
-
-def settle(session: Session, parent_id: str) -> None:
-    """End a reprocessing whose last calibration has ended; its result says how they ended.
-
-    The parent is locked before its children are counted: of two children that end at once, the second to have the lock
-    sees that the first has ended. Whoever locks a child and its parent takes the child first.
-    """
-    session.execute(select(Job.id).where(Job.id == parent_id).with_for_update(key_share=True))
-    unended = select(Job.id).where(Job.parent_id == parent_id, Job.state.in_(UNENDED))
-    if session.scalar(select(exists(unended))):
-        return
-    result = {"succeeded": 0, "failed": 0, "cancelled": 0} | _counts(session, parent_id)
-    ended = session.scalars(
-        update(Job)
-        .where(Job.id == parent_id, Job.state == "running")
-        .values(state="succeeded", progress=1.0, result=result, finished_at=DatabaseNow())
-        .returning(Job.id)
-        .execution_options(synchronize_session=False)
-    ).all()
-    tell_ended(session, ended)
-
-
-def cancel_reprocessing(session: Session, parent_id: str) -> None:
-    """Cancel what waits of a reprocessing and ask what runs to stop; the request itself is cancelled at once.
-
-    Its children are locked first, lest one is claimed or handed back between the two statements and missed by both.
-    """
-    unended = select(Job.id).where(Job.parent_id == parent_id, Job.state.in_(UNENDED))
-    session.execute(unended.order_by(Job.id).with_for_update(key_share=True))
-    for state, values in (
-        ("queued", {"state": "cancelled", "cancel_requested": True, "finished_at": DatabaseNow()}),
-        ("running", {"cancel_requested": True}),
-    ):
-        changed = session.scalars(
-            update(Job)
-            .where(Job.parent_id == parent_id, Job.state == state)
-            .values(values)
-            .returning(Job.id)
-            .execution_options(synchronize_session=False)
-        ).all()
-        if state == "queued":
-            tell_ended(session, changed)
-    ended = session.scalars(
-        update(Job)
-        .where(Job.id == parent_id, Job.state == "running")
-        .values(state="cancelled", cancel_requested=True, finished_at=DatabaseNow())
-        .returning(Job.id)
-        .execution_options(synchronize_session=False)
-    ).all()
-    tell_ended(session, ended)

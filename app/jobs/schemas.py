@@ -57,7 +57,9 @@ class JobRead(Record):
     magnetometer: str | None
     session_ids: list[str]
     parent_id: str | None
-    options: dict[str, JsonValue]
+    options: dict[str, JsonValue] = Field(
+        description="What it was asked for, resolved; `POST /jobs/{job_id}/retry` asks for it again."
+    )
     error: dict[str, JsonValue] | None
     result: dict[str, JsonValue] | None
     verdict: Literal["accept", "weak", "refuse"] | None = Field(None, description="Of the set that it made.")

@@ -17,8 +17,9 @@ from app.access.idempotency import IdempotencyKey
 from app.client.receipts import read_receipts
 from app.errors import StoredObjectCorruptError
 from app.indices.tables import FieldFile, IndexFile
-from app.jobs.reprocessing import KIND, UNENDED
+from app.jobs.reprocessing import KIND
 from app.jobs.tables import Job
+from app.jobs.transitions import UNENDED
 from app.maintenance.object_names import KINDS, Naming, naming_of
 from app.parameter_sets.tables import Activation, ParameterSet, ParameterSetSession
 from app.sessions.repository import identity

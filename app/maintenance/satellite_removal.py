@@ -17,8 +17,8 @@ from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.access.idempotency import IdempotencyKey
 from app.errors import ConflictError
-from app.jobs.reprocessing import UNENDED, settle
 from app.jobs.tables import Job
+from app.jobs.transitions import UNENDED, settle
 from app.orbits.tables import OrbitRow
 from app.parameter_sets.tables import ParameterSet
 from app.satellites.repository import SatelliteRepository

@@ -15,6 +15,7 @@ from app.errors import NotFoundError
 from app.http.dependencies import Blobs, Config, Db
 from app.http.receiving import Upload, receive
 from app.http.schemas import Filter, Identifier, Record
+from app.http.services import HttpServices, services_of
 from app.http.strict_json import StrictJsonRoute
 from app.indices.repository import sources_of_record
 from app.orbits.parsing import orbit_of
@@ -228,7 +229,7 @@ async def tell_object(
 ) -> WhichObjectRead:
     """Tell of which object a session is, by the residuals that the orbits of each leave; nothing is kept."""
     columns = await run_in_threadpool(_columns, session_id, caller, db, store)
-    async with request.app.state.uploads.place(caller):
+    async with services_of(request.app, HttpServices).admission.place(caller):
         upload = await receive(request, config, authenticate)
         found = await run_in_threadpool(_told, columns, upload, query.max_orbit_age_days)
     return WhichObjectRead.model_validate(found.to_dict())

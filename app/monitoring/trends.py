@@ -19,9 +19,9 @@ from app.http.concurrency import Places
 from app.http.dependencies import Db
 from app.http.schemas import Filter, Record, UtcTime, utc_text
 from app.http.strict_json import StrictJsonRoute
-from app.http.tables import TABLES, table_response, wanted_format, write_table
+from app.http.tables import TABLES, TableFormat, table_response, wanted_format, write_table
 from app.monitoring.trend_table import MOST_POINTS, POINTS, series_of, trend_table
-from app.parameter_sets.schemas import ParametersRead, TableFormat
+from app.parameter_sets.schemas import ParametersRead
 from app.parameter_sets.tables import ParameterSet
 from app.records.json_numbers import without_nan
 from app.satellites.repository import SatelliteRepository

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import AsyncIterator
+from dataclasses import dataclass
 from typing import Annotated, Final
 
 from fastapi import APIRouter, Depends, Header, Query, Request
@@ -17,6 +18,7 @@ from app.access.caller import Caller
 from app.errors import ExpiredError
 from app.http.dependencies import Db
 from app.http.schemas import Filter, Slug
+from app.http.services import HttpServices, services_of
 from app.http.strict_json import StrictJsonRoute
 from app.outbox.events import Entry, EventType
 from app.outbox.log import entries_after, newest_position, oldest_position, place_new
@@ -67,6 +69,13 @@ class NewestEntry:
             return newest_position(session)
 
 
+@dataclass(frozen=True, kw_only=True)
+class EventServices(HttpServices):
+    """What the stream of events adds to what the application holds."""
+
+    newest_entry: NewestEntry
+
+
 def _start(
     query: Annotated[EventQuery, Query()],
     _caller: Reader,
@@ -99,11 +108,11 @@ async def follow_events(
     db: Db,
 ) -> AsyncIterator[ServerSentEvent]:
     """Follow what happens, from the event behind `Last-Event-ID` on, or from now; a revoked key sees no more."""
-    newest: NewestEntry = request.app.state.newest_entry
+    held = services_of(request.app, EventServices)
     position, checked_s = start, time.monotonic()
     yield ServerSentEvent(id=str(start), comment="from here on")  # so that who loses the stream at once loses nothing
-    while not request.app.state.is_stopping():
-        latest = await newest.position()
+    while not held.stopping.is_asked():
+        latest = await held.newest_entry.position()
         if latest > position or time.monotonic() - checked_s > CHECK_KEY_EVERY_S:
             if not await run_in_threadpool(is_still_valid, request):
                 return

@@ -126,20 +126,23 @@ class Messenger:
         return session.scalar(select(func.count(Message.sent_at.distinct())).where(Message.sent_at > since)) or 0
 
     def _settle(self, letter: Letter, *, is_sent: bool) -> None:
-        now = utc_now()
-        with self._database.write() as session:
-            for row in session.scalars(select(Message).where(Message.id.in_(letter.ids))):
-                row.attempts += 1
-                row.reason = None if is_sent else "Apprise could not send it; its log says why"
-                if is_sent:
-                    row.state, row.sent_at = "sent", now
-                elif now - row.created_at > PATIENCE:
-                    row.state = "parked"
-                else:
-                    pause_s = min(FIRST_PAUSE_S * 2.0 ** min(row.attempts - 1, 20), LONGEST_PAUSE_S)
-                    row.next_attempt_at = now + timedelta(seconds=pause_s)
+        self._database.transact(lambda session: _settle(session, letter, is_sent=is_sent))
         if not is_sent:
             log.warning("message_not_sent", title=letter.title)
+
+
+def _settle(session: Session, letter: Letter, *, is_sent: bool) -> None:
+    now = utc_now()
+    for row in session.scalars(select(Message).where(Message.id.in_(letter.ids))):
+        row.attempts += 1
+        row.reason = None if is_sent else "Apprise could not send it; its log says why"
+        if is_sent:
+            row.state, row.sent_at = "sent", now
+        elif now - row.created_at > PATIENCE:
+            row.state = "parked"
+        else:
+            pause_s = min(FIRST_PAUSE_S * 2.0 ** min(row.attempts - 1, 20), LONGEST_PAUSE_S)
+            row.next_attempt_at = now + timedelta(seconds=pause_s)
 
 
 def _cause(entry: Entry) -> str:

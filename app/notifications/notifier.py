@@ -6,21 +6,20 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from datetime import datetime
 from typing import Final
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.orm import Session
 
 from app.notifications.delivering import SPREADER, Due, due, forget_old, is_anybody_told, settle
 from app.notifications.hosts import AllowedHosts
 from app.notifications.messages import Messenger
-from app.notifications.sending import Outcome, attempt
+from app.notifications.sending import attempt
 from app.outbox import log as outbox
 from app.settings import Settings
 from app.storage.database import Database, utc_now
 from app.storage.exclusive import Exclusive
-from app.storage.retry import retried
 
 LOOK_EVERY_S: Final = 0.5
 ASK_EVERY_S: Final = 2.0
@@ -118,7 +117,8 @@ class Notifier:
         try:
             begun = utc_now()
             outcome = attempt(one.parcel, self._allowed, begun)
-            retried(lambda: self._settle(one, outcome, begun))
+            hours = self._settings.webhook_retry_hours
+            self._database.transact(lambda session: settle(session, one, outcome, begun, hours))
             if not outcome.is_delivered:
                 log.info("webhook_not_delivered", webhook=one.webhook_id, attempt=one.attempts + 1, why=outcome.reason)
         except SQLAlchemyError as error:  # it is sent once more when the database is back: at least once
@@ -128,14 +128,12 @@ class Notifier:
                 del self._flying[one.delivery_id]
             self._news.set()
 
-    def _settle(self, one: Due, outcome: Outcome, begun: datetime) -> None:
-        with self._database.write() as session:
-            settle(session, one, outcome, begun, self._settings.webhook_retry_hours)
-
     def _tidy(self) -> None:
         if time.monotonic() - self._tidied_s < TIDY_EVERY_S:
             return
         self._tidied_s = time.monotonic()
-        with self._database.write() as session:
-            outbox.forget_old(session, self._settings.event_days)
-            forget_old(session, self._settings.event_days)
+        self._database.transact(self._forget)
+
+    def _forget(self, session: Session) -> None:
+        outbox.forget_old(session, self._settings.event_days)
+        forget_old(session, self._settings.event_days)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import structlog
@@ -18,6 +20,7 @@ from app.attention.endpoints import Known
 from app.errors import ServiceError
 from app.http.dependencies import Blobs, Config, Db
 from app.http.schemas import Record
+from app.http.services import services_of
 from app.jobs.dependencies import Jobs
 from app.operations.magnetometer_metrics import MagnetometerState
 from app.operations.queue_metrics import metrics_text
@@ -26,6 +29,13 @@ router = APIRouter(tags=["health"])
 log = structlog.get_logger()
 
 State = Literal["ok", "failing"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class OperationServices:
+    """What operations add to what the application holds: the sources of orbits that are no longer asked, and why."""
+
+    stopped_sources: Callable[[], Sequence[str]]
 
 
 class Alive(Record):
@@ -85,8 +95,7 @@ def _stopped(request: Request, db: Db) -> str:
     """Return which sources of orbits had to be stopped; that is no reason to take the service out of use."""
     if _database(db) != "ok":
         return "ok"
-    found: list[str] = request.app.state.stopped_sources()
-    return "; ".join(found) or "ok"
+    return "; ".join(services_of(request.app, OperationServices).stopped_sources()) or "ok"
 
 
 def _database(db: Db) -> State:

@@ -14,6 +14,7 @@ from app.access.caller import Caller
 from app.http.dependencies import Config, Db
 from app.http.receiving import receive
 from app.http.schemas import Page
+from app.http.services import HttpServices, services_of
 from app.http.strict_json import StrictJsonRoute
 from app.orbits.nearest import chosen
 from app.orbits.objects import check_objects
@@ -63,7 +64,7 @@ async def create_orbits(
 ) -> OrbitList:
     """Send the orbits of a satellite; those that are there already are not kept twice."""
     await run_in_threadpool(_require, satellite_id, caller, db)
-    async with request.app.state.uploads.place(caller):
+    async with services_of(request.app, HttpServices).admission.place(caller):
         upload = await receive(request, config, authenticate)
         parsed = await run_in_threadpool(parse_message, upload.content, upload.media_type)
         orbits, is_any_new = await run_in_threadpool(_keep, satellite_id, parsed, caller, db, is_forced=query.force)

@@ -68,10 +68,13 @@ def place_new(database: Database) -> None:
     with database.read() as session:
         if session.execute(waiting).first() is None:
             return
-    with database.write() as session:
-        is_mine = session.scalar(select(func.pg_try_advisory_xact_lock(ORDER_LOCK)))
-        if is_mine:
-            session.execute(PLACE_NEW)
+    database.transact(_place)
+
+
+def _place(session: Session) -> None:
+    is_mine = session.scalar(select(func.pg_try_advisory_xact_lock(ORDER_LOCK)))
+    if is_mine:
+        session.execute(PLACE_NEW)
 
 
 def newest_position(session: Session) -> int:

@@ -43,15 +43,17 @@ class Subscriber:
             mark = session.get(OutboxMark, self.name)
             if mark is not None and mark.position >= newest_position(session):
                 return 0
-        with database.write() as session:
-            mark = self._mark(session)
-            newest = newest_position(session)
-            entries = entries_after(session, mark.position, types=self.types, most=most)
-            for entry in entries:
-                self.handle(session, entry)
-            last = entries[-1].position if entries else 0
-            mark.position = last if len(entries) == most else max(newest, mark.position, last)
-            return len(entries)
+        return database.transact(lambda session: self._handle(session, most))
+
+    def _handle(self, session: Session, most: int) -> int:
+        mark = self._mark(session)
+        newest = newest_position(session)
+        entries = entries_after(session, mark.position, types=self.types, most=most)
+        for entry in entries:
+            self.handle(session, entry)
+        last = entries[-1].position if entries else 0
+        mark.position = last if len(entries) == most else max(newest, mark.position, last)
+        return len(entries)
 
     def _mark(self, session: Session) -> OutboxMark:
         """Return the subscriber's mark, locked, made where there is none."""

@@ -42,8 +42,7 @@ class Correction:
     def of(cls, record: Mapping[str, object]) -> Correction:
         """Return the correction that a parameter set's record describes."""
         found = Parameters.from_record(record)
-        sensor = SensorModel(found.bias_nt, found.scale, found.nonorthogonality_deg)
-        return cls(sensor, found.regressors, rotation_of(record.get("matrix")), found.time_base_utc)
+        return cls(found.sensor, found.regressors, rotation_of(record.get("matrix")), found.time_base_utc)
 
     def apply(self, samples: Samples) -> Samples:
         """Return ``samples`` with corrected readings in the base frame, nT."""

@@ -15,10 +15,11 @@ from app.http.dependencies import Blobs, Config, Db
 from app.http.entity_tags import UNCHANGED, is_known, tagged_json, unchanged
 from app.http.receiving import Upload, receive
 from app.http.schemas import Name, Page
+from app.http.services import HttpServices, services_of
 from app.http.strict_json import StrictJsonRoute
-from app.http.tables import TABLES, TELEMETRY_BODY, table_response, wanted_format, write_table
+from app.http.tables import TABLES, TELEMETRY_BODY, WRITTEN_TYPES, table_response, wanted_format, write_table
 from app.parameter_sets.correction import Correction
-from app.parameter_sets.json_listing import found, listed, part, summaries
+from app.parameter_sets.json_listing import ListingServices, found, listed, part, summaries
 from app.parameter_sets.reasons import Subject, explained
 from app.parameter_sets.repository import ParameterSetRepository
 from app.parameter_sets.schemas import (
@@ -39,7 +40,7 @@ from app.sessions.tables import TelemetrySession
 from app.settings import Settings
 from app.storage.store import residuals_key
 from magcal_core.samples import Samples
-from magcal_core.telemetry import MEDIA_TYPES, write_samples
+from magcal_core.telemetry import write_samples
 
 router = APIRouter(route_class=StrictJsonRoute, prefix="/parameter-sets", tags=["parameter sets"])
 
@@ -59,7 +60,7 @@ def list_parameter_sets(
         if query.view == "summary":
             texts = summaries(connection, wanted)
         else:
-            texts = request.app.state.texts.of(connection, wanted.sets)
+            texts = services_of(request.app, ListingServices).texts.of(connection, wanted.sets)
     return tagged_json(part(texts, wanted), wanted.tag)
 
 
@@ -70,7 +71,7 @@ def get_parameter_set(parameter_set_id: str, request: Request, caller: Reader, d
         wanted = found(connection, caller, parameter_set_id)
         if is_known(request, wanted.tag):
             return unchanged(wanted.tag)
-        texts = request.app.state.texts.of(connection, wanted.sets)
+        texts = services_of(request.app, ListingServices).texts.of(connection, wanted.sets)
     if not texts:  # removed with its satellite since it was found
         raise NotFoundError("no such parameter set")
     return tagged_json(texts[0], wanted.tag)
@@ -151,9 +152,9 @@ async def apply_parameter_set(
 ) -> Response:
     """Correct telemetry to nT in time order; `inverse=true` turns that back into raw readings in their own unit."""
     row, sensor = await run_in_threadpool(_row_and_sensor, parameter_set_id, caller, db)
-    async with request.app.state.uploads.place(caller):
+    async with services_of(request.app, HttpServices).admission.place(caller):
         upload = await receive(request, config, authenticate)
-        sent = MEDIA_TYPES.get(upload.media_type.partition(";")[0].strip().lower(), "csv")
+        sent = WRITTEN_TYPES.get(upload.media_type.partition(";")[0].strip().lower(), "csv")
         form = wanted_format(request, query.format, sent)
         samples = await run_in_threadpool(_applied, row, sensor, upload, config, inverse=query.inverse)
         content = await run_in_threadpool(write_samples, samples, form)

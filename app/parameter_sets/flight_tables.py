@@ -14,6 +14,8 @@ from typing import Final
 import numpy as np
 
 Document = Mapping[str, object]
+ON_BOARD: Final = "on-board"
+"""The one convention of these tables."""
 COMPONENT: Final = "magcal"
 """The instance whose parameters they are in F Prime's file; a deployment's own name is put in its place."""
 

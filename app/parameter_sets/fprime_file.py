@@ -12,6 +12,8 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
+FPRIME_FILE: Final = "fprime-dat"
+"""The format's name."""
 DELIMITER: Final = 0xA5
 HEAD: Final = struct.Struct(">BII")
 ID_BYTES: Final = 4

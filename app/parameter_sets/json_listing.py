@@ -111,6 +111,13 @@ class Texts:
         return read
 
 
+@dataclass(frozen=True, kw_only=True)
+class ListingServices:
+    """What lists of parameter sets add to what the application holds."""
+
+    texts: Texts
+
+
 def part(texts: Sequence[bytes], listed_sets: Listed) -> bytes:
     """Return a part of a list in JSON."""
     total = b"" if listed_sets.total is None else b',"total":%d' % listed_sets.total

@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
+from magcal_core.calibration.estimators.registry import STEP_METHODS, has_moments
+
 Options = Mapping[str, object]
 Change = Mapping[str, object] | None
 
@@ -64,13 +66,13 @@ def _first(*offers: Callable[[Subject], Cure | None]) -> Callable[[Subject], Cur
 
 
 def _no_clock(subject: Subject) -> Change:
-    """Return the clock as an unknown; the closed form has none."""
-    return None if subject.options.get("method") == "vector-closed-form" else {"time_offset": "estimate"}
+    """Return the clock as an unknown, where the method can stand beside one that can have it."""
+    return {"time_offset": "estimate"} if has_moments(subject.options.get("method")) else None
 
 
 def _steps(subject: Subject) -> Change:
     """Return steps of the bias as unknowns, for a method that can take them."""
-    return {"bias_steps": "fit"} if subject.options.get("method") in {"scalar", "vector"} else None
+    return {"bias_steps": "fit"} if subject.options.get("method") in STEP_METHODS else None
 
 
 def _regressors(subject: Subject) -> Change:
@@ -93,7 +95,7 @@ def _comparison(subject: Subject) -> str | None:
 
 
 TUKEY: Final = _again("Again with tukey", lambda _subject: {"robust": "tukey"})
-REGRESSORS: Final = _again("With the regressors that unseen blocks bear out", _regressors)
+REGRESSORS: Final = _again("With the regressors that unseen blocks support", _regressors)
 NO_REGRESSORS: Final = _again(
     "Without regressors", lambda one: {"regressors": []} if one.options.get("regressors") else None
 )

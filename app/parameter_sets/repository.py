@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Final
 
-from sqlalchemy import ColumnElement, Select, case, or_, select
+from sqlalchemy import ColumnElement, Select, case, func, or_, select
 from sqlalchemy.orm import Session
 
 from app.access.audit_trail import record_event
@@ -151,9 +151,9 @@ class ParameterSetRepository:
         )
 
     def _replace(self, current: Activation | None, row: ParameterSet | None, previous_id: str | None) -> None:
-        now = utc_now()
+        place = _magnetometer_of(current, row)
+        now = self._next_moment(place.satellite_id, place.magnetometer_id)
         if current is not None:
-            now = max(now, current.begun_at)  # activations follow one another, whatever the machine's clock does
             current.ended_at = now
             self.session.get_one(ParameterSet, current.parameter_set_id).status = "retired"
             self.session.flush()
@@ -173,6 +173,15 @@ class ParameterSetRepository:
             self.session.flush()
         append(self.session, [_activated(current, row, self.caller)])
 
+    def _next_moment(self, satellite_id: str, magnetometer_id: str) -> datetime:
+        """Return now, or a moment behind what was last: activations follow one another, whatever the clock does."""
+        last = self.session.scalar(
+            select(func.max(func.coalesce(Activation.ended_at, Activation.begun_at))).where(
+                Activation.satellite_id == satellite_id, Activation.magnetometer_id == magnetometer_id
+            )
+        )
+        return utc_now() if last is None else max(utc_now(), last + timedelta(microseconds=1))
+
 
 def _created(row: ParameterSet) -> Event:
     return parameter_set_created(
@@ -185,10 +194,16 @@ def _created(row: ParameterSet) -> Event:
     )
 
 
-def _activated(before: Activation | None, after: ParameterSet | None, caller: Caller) -> Event:
+def _magnetometer_of(before: Activation | None, after: ParameterSet | None) -> Activation | ParameterSet:
+    """Return what tells the magnetometer of which a set was in force before, or is so after."""
     place = after or before
     if place is None:
         raise ConflictError("neither a parameter set that was in force nor one that is")
+    return place
+
+
+def _activated(before: Activation | None, after: ParameterSet | None, caller: Caller) -> Event:
+    place = _magnetometer_of(before, after)
     return parameter_set_activated(
         parameter_set_id=None if after is None else after.id,
         previous_id=None if before is None else before.parameter_set_id,

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, JsonValue
 
-from app.http.schemas import Body, Filter, Identifier, Name, PageQuery, Record, Search, Slug, UtcTime
+from app.http.schemas import Body, Filter, Identifier, Name, OneOf, PageQuery, Record, Search, Slug, UtcTime
+from app.http.tables import TableFormat
+from app.parameter_sets.export_formats import EXPORTERS
 
 Status = Literal["candidate", "active", "retired"]
-TableFormat = Literal["csv", "ndjson", "json", "parquet"]
 
 
 class VerdictRead(Record):
@@ -141,7 +142,7 @@ class ExportQuery(Filter):
     """In which convention and format a parameter set is written for flight software."""
 
     convention: str = Field("exact", max_length=32)
-    format: Literal["json", "csv", "yaml", "c", "gomspace", "fprime", "fprime-dat"] = "json"
+    format: Annotated[str, OneOf(EXPORTERS)] = "json"
     first_id: int = Field(0, ge=0, le=0xFFFF_FF00, description="`fprime-dat`: the id of MGM_OFFSET; the others follow.")
     crc: bool = Field(
         True, description="`fprime-dat`: with the CRC of the records before them; older F Primes have none."

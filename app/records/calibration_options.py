@@ -7,40 +7,59 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from app.http.schemas import Body
-from magcal_core.options import CalibrationOptions
+from app.http.schemas import Body, OneOf
+from magcal_core.calibration.estimators.registry import ESTIMATORS
+from magcal_core.field.gaps import INDEX_GAPS
+from magcal_core.field.models import FIELD_MODELS
+from magcal_core.options import (
+    BIAS_STEPS,
+    GYRO_UNITS,
+    LOCKED_TERMS,
+    NOISE_MODELS,
+    ORBIT_MODELS,
+    RESPONSES,
+    ROBUST_LOSSES,
+    TIME_OFFSETS,
+    CalibrationOptions,
+)
+
+Method = Annotated[str, OneOf(ESTIMATORS)]
+FieldName = Annotated[
+    str, Field(max_length=64, examples=list(FIELD_MODELS), description="A field model, or parts of one joined by +.")
+]
+IndexGap = Annotated[str, OneOf(INDEX_GAPS)]
 
 
 class GyroBody(Body):
     """The session's columns of angular rate, one an axis, and their unit."""
 
-    columns: tuple[str, str, str]
-    unit: Literal["deg/s", "rad/s"] = "deg/s"
+    columns: list[str] = Field(min_length=3, max_length=3)
+    unit: Annotated[str, OneOf(GYRO_UNITS)] = "deg/s"
 
 
 class CalibrationOptionsBody(Body):
     """Options of a calibration; what is left out has the default of `magcal calibrate`."""
 
-    method: Literal["scalar", "scalar-hooke-jeeves", "vector", "vector-closed-form"] | None = None
-    orbit: Literal["sgp4", "numerical"] | None = None
-    field: str | None = Field(None, max_length=64)
+    method: Method | None = None
+    orbit: Annotated[str, OneOf(ORBIT_MODELS)] | None = None
+    field: FieldName | None = None
     field_max_degree: int | None = Field(None, ge=1, le=250)
-    index_gap: Literal["refuse", "mean"] | None = Field(None, description="Where the index of the field has no value.")
+    index_gap: IndexGap | None = Field(None, description="Where the index of the field has no value.")
     quiet_only: bool | None = Field(None, description="Only samples of quiet hours; needs the index Kp.")
-    time_offset: Literal["auto", "none", "estimate"] | None = None
+    time_offset: Annotated[str, OneOf(TIME_OFFSETS)] | None = None
     time_drift: bool | None = None
     regressors: list[str] | Literal["auto"] | None = None
-    response: Literal["none", "auto"] | None = None
-    robust: Literal["auto", "none", "huber", "soft_l1", "cauchy", "tukey"] | None = None
-    noise_model: Literal["auto", "none", "white"] | None = None
+    response: Annotated[str, OneOf(RESPONSES)] | None = None
+    robust: Annotated[str, OneOf(ROBUST_LOSSES)] | None = None
+    noise_model: Annotated[str, OneOf(NOISE_MODELS)] | None = None
     noise_nt: float | None = Field(None, gt=0, description="Unset: the magnetometer's.")
-    bias_steps: Literal["auto", "fit", "none"] | None = Field(
+    bias_steps: Annotated[str, OneOf(BIAS_STEPS)] | None = Field(
         None, description="Steps of the bias inside the data: named, fitted, or not looked for."
     )
     windows: Annotated[float, Field(ge=0.1, le=8784)] | Literal["auto"] | None = Field(
         None, description="Hours of windows that are calibrated one by one as well, with their trend."
     )
-    locked_terms: Literal["auto", "none"] | None = None
+    locked_terms: Annotated[str, OneOf(LOCKED_TERMS)] | None = None
     gyro: GyroBody | None = None
     max_orbit_age_days: float | None = Field(None, ge=0, le=36525)
     bootstrap: int | None = Field(None, ge=0, le=10_000)
@@ -62,7 +81,11 @@ def as_asked(options: CalibrationOptions) -> dict[str, object]:
 
 
 def as_options(asked: Mapping[str, object]) -> dict[str, object]:
-    """Return the options of a job's request as `CalibrationOptions.from_dict` takes them."""
-    values = dict(asked)
-    gyro = values.pop("gyro", None)
-    return values | {"gyro": gyro["columns"], "gyro_unit": gyro["unit"]} if isinstance(gyro, dict) else values
+    """Return the options of a job's request as `CalibrationOptions.from_dict` takes them.
+
+    A request that an earlier release has queued names the columns of its gyro, and their unit, beside each other.
+    """
+    gyro = asked.get("gyro")
+    if isinstance(gyro, dict):
+        return {**asked, "gyro": gyro["columns"], "gyro_unit": gyro["unit"]}
+    return {name: value for name, value in asked.items() if (name, value) != ("gyro", None)}

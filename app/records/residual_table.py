@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from typing import Final
 
 import numpy as np
@@ -11,6 +10,7 @@ import pyarrow as pa
 from magcal_core.arrays import Floats, Times
 from magcal_core.calibration.residuals import ResidualTable, StoredReadings
 from magcal_core.errors import TelemetryFormatError
+from magcal_core.telemetry import FORMATS
 
 SCALAR: Final = ("residual_nt",)
 VECTOR: Final = ("residual_x_nt", "residual_y_nt", "residual_z_nt")
@@ -47,7 +47,7 @@ def residuals_of(table: pa.Table) -> ResidualTable:
 
 
 def read_residuals(content: bytes, form: str) -> ResidualTable:
-    """Return the residuals in a file in the format ``form``: ``csv``, ``ndjson``, ``json`` or ``parquet``.
+    """Return the residuals in a file in the format ``form``, one of those that are read back as they were written.
 
     Raises
     ------
@@ -61,23 +61,11 @@ def read_residuals(content: bytes, form: str) -> ResidualTable:
 
 
 def _table(content: bytes, form: str) -> pa.Table:
-    if form == "parquet":
-        import pyarrow.parquet
-
-        return pyarrow.parquet.read_table(io.BytesIO(content))
-    if form == "csv":
-        import pyarrow.csv
-
-        return pyarrow.csv.read_csv(io.BytesIO(content))
-    if form == "ndjson":
-        import pyarrow.json
-
-        return pyarrow.json.read_json(io.BytesIO(content))
-    if form == "json":
-        import json
-
-        return pa.table(json.loads(content))
-    raise TelemetryFormatError(f"a residual table is csv, ndjson, json or parquet, not {form}")
+    arrow = FORMATS[form].arrow if form in FORMATS else None
+    if arrow is None:
+        known = ", ".join(name for name, one in FORMATS.items() if one.arrow is not None)
+        raise TelemetryFormatError(f"a residual table is one of {known}, not {form}")
+    return arrow(content)
 
 
 def _times(column: pa.ChunkedArray) -> Times:

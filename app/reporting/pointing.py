@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from typing_extensions import TypedDict
@@ -11,12 +11,11 @@ from typing_extensions import TypedDict
 from app.records.parameter_set import ParameterSetRecord, ParametersRecord
 from magcal_core.errors import InputError
 from magcal_core.sensor.model import SensorModel
+from magcal_core.sensor.parameters import SENSOR_NAMES, Parameters
 
 if TYPE_CHECKING:
     from magcal_core.arrays import Floats
     from magcal_core.attitude.circular import CircularOrbit
-
-GROUPS: Final = ("bias_nt", "scale", "nonorthogonality_deg")
 
 
 class PointingRecord(TypedDict):
@@ -87,17 +86,15 @@ def _sensor(parameters: ParametersRecord) -> SensorModel:
     groups = (parameters["bias_nt"], parameters["scale"], parameters["nonorthogonality_deg"])
     if any(value is None for group in groups for value in group):
         raise InputError("the parameter set lacks a parameter, so its pointing is unknown")
-    bias_nt, scale, angles_deg = (np.array(group, np.float64) for group in groups)
-    return SensorModel(bias_nt, scale, angles_deg)
+    return Parameters.from_record({"parameters": parameters}).sensor
 
 
 def _covariance(record: ParameterSetRecord) -> Floats:
     """Return the covariance of the nine parameters of the sensor, shape (9, 9), in their order."""
-    wanted = [f"{group}[{i}]" for group in GROUPS for i in range(3)]
     names = record["parameter_names"]
-    missing = [name for name in wanted if name not in names]
+    missing = [name for name in SENSOR_NAMES if name not in names]
     if missing:
         raise InputError(f"the covariance has no {', '.join(missing)}, so the pointing is unknown")
-    chosen = [names.index(name) for name in wanted]
+    chosen = [names.index(name) for name in SENSOR_NAMES]
     covariance = np.array(record["covariance"], np.float64)
     return covariance[np.ix_(chosen, chosen)]

@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field, JsonValue
 
 from app.http.schemas import Filter, PageQuery, Record, Search, Slug, UtcTime
+from app.http.tables import TableFormat
 
 
 class ChunkRead(Record):
@@ -102,4 +103,4 @@ class SampleQuery(Filter):
     since: UtcTime | None = None
     until: UtcTime | None = None
     flags: bool = Field(False, description="Add the column magcal_flags.")
-    format: Literal["csv", "ndjson", "json", "parquet"] | None = Field(None, description="Instead of Accept.")
+    format: TableFormat | None = Field(None, description="Instead of Accept.")

@@ -9,13 +9,14 @@ from typing import Final
 import numpy as np
 
 from app.errors import UnsupportedMediaError
+from app.http.tables import READ_TYPES
 from app.satellites.reading import unit_of
 from app.satellites.tables import Magnetometer
 from app.settings import Settings
 from magcal_core.arrays import Floats
 from magcal_core.errors import TooManyRowsError
 from magcal_core.samples import Samples
-from magcal_core.telemetry import MEDIA_TYPES, Telemetry, read_telemetry
+from magcal_core.telemetry import Telemetry, read_telemetry
 from magcal_core.telemetry.columns import (
     ATTITUDE,
     POSITION,
@@ -146,10 +147,10 @@ def format_of(media_type: str) -> str | None:
     plain = media_type.partition(";")[0].strip().lower()
     if plain in UNTOLD:
         return None
-    if plain not in MEDIA_TYPES:
-        known = ", ".join(MEDIA_TYPES)
+    if plain not in READ_TYPES:
+        known = ", ".join(READ_TYPES)
         raise UnsupportedMediaError(f"this content type is not telemetry; known are {known}")
-    return MEDIA_TYPES[plain]
+    return READ_TYPES[plain]
 
 
 def column_names(samples: Samples) -> list[str]:

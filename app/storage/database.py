@@ -6,12 +6,12 @@ import os
 import sqlite3
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import closing, contextmanager, nullcontext
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 from sqlalchemy import (
     JSON,
@@ -37,8 +37,9 @@ from sqlalchemy.sql.visitors import InternalTraversal
 from sqlalchemy.types import TypeDecorator
 
 from app.settings import Settings
-from app.storage.retry import DAMAGED
+from app.storage.retry import DAMAGED, retried
 
+Result = TypeVar("Result")
 WRITES: Final = "magcal_writes"
 POOL_SIZE: Final = 32
 LONGEST_TURN_S: Final = 15.0
@@ -160,6 +161,19 @@ class Database:
         turn = self._turn() if self.is_sqlite else nullcontext()
         with turn, Session(self._write_engine, expire_on_commit=False) as session, session.begin():
             yield session
+
+    def transact(self, work: Callable[[Session], Result]) -> Result:
+        """Return what ``work`` returns from a transaction of its own, tried again while that loses against others.
+
+        For whatever writes beside requests, whose routes try again themselves. On SQLite another process may have the
+        lock for longer than a connection waits for it, or take it again and again: its writers poll, and do not queue.
+        """
+
+        def attempt() -> Result:
+            with self.write() as session:
+                return work(session)
+
+        return retried(attempt)
 
     @contextmanager
     def write_much(self) -> Iterator[Session]:

@@ -155,7 +155,7 @@ class FileStore:
 
 
 class BucketStore:
-    """Objects in a bucket; what it has acknowledged is durable.
+    """Objects in a bucket; what it has acknowledged, and says that it has when it is asked, is durable.
 
     ``is_outside`` is false of one in memory, which ends with its process and so belongs to nobody.
     """
@@ -201,8 +201,11 @@ class BucketStore:
             self._check_owner()
         try:
             obstore.put(self._store, key, packed.content)
+            kept = obstore.head(self._store, key)["size"]
         except FAILED as error:
             raise UnavailableError("the store could not keep the object") from error
+        if kept != len(packed.content):
+            raise UnavailableError("the store has not kept the whole object")
         return packed.sha256
 
     def put_all(self, session: Session, objects: Sequence[tuple[str, Packed]]) -> None:
@@ -248,8 +251,11 @@ class BucketStore:
 
     def keys(self, _session: Session) -> Iterator[str]:
         """Yield the key of every object."""
-        for part in obstore.list(self._store):
-            yield from (str(entry["path"]) for entry in part if entry["path"] != MARKER)
+        try:
+            for part in obstore.list(self._store):
+                yield from (str(entry["path"]) for entry in part if entry["path"] != MARKER)
+        except FAILED as error:
+            raise UnavailableError("the store does not answer") from error
 
     def check(self) -> None:
         """Raise UnavailableError where the bucket does not answer, or is not the database's."""

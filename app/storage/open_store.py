@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from datetime import timedelta
 from pathlib import Path
+from typing import TYPE_CHECKING, Final
 from urllib.parse import unquote, urlsplit
 
 import obstore.store
@@ -12,6 +14,15 @@ from app.storage.database_store import DatabaseStore
 from app.storage.object_store import BucketStore, FileStore
 from app.storage.store import Store
 from magcal_core.errors import OptionError
+
+if TYPE_CHECKING:
+    from obstore.store import RetryConfig
+
+RETRIES: Final[RetryConfig] = {"max_retries": 3, "retry_timeout": timedelta(seconds=10)}
+"""How often a bucket that fails is asked again: a transaction waits for it, and obstore's own 3 min are too long.
+
+One answer may take 30 s, which is obstore's own limit; options of its client given here would hide those of the
+environment."""
 
 
 def open_url(url: str) -> FileStore | BucketStore:
@@ -31,7 +42,7 @@ def open_url(url: str) -> FileStore | BucketStore:
     if parts.scheme == "memory":
         return BucketStore(obstore.store.MemoryStore(), is_outside=False)
     try:
-        return BucketStore(obstore.store.from_url(url))
+        return BucketStore(obstore.store.from_url(url, retry_config=RETRIES))
     except (obstore.exceptions.BaseError, ValueError) as error:
         raise OptionError(f"MAGCAL_STORE_URL names no store that is known: {error}") from error
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query, Request, Response
@@ -9,23 +10,34 @@ from starlette.concurrency import run_in_threadpool
 
 from app.access.authentication import Operator, Station, authenticate
 from app.access.caller import Caller
-from app.access.idempotency import KeyHeader
+from app.access.idempotency import KeyHeader, Running
 from app.http.dependencies import Config, Db
 from app.http.receiving import check_declared, is_short, receive
+from app.http.services import HttpServices, services_of
 from app.http.strict_json import StrictJsonRoute
 from app.http.tables import TELEMETRY_BODY
 from app.sessions.endpoints import require_satellite, session_read
 from app.sessions.repository import SessionRepository
 from app.sessions.schemas import ChunkQuery, SessionRead, UploadQuery
 from app.sessions.tables import TelemetrySession
+from app.uploads.batching import Keeper
 from app.uploads.ingest import Asked, Ingest
 
 router = APIRouter(route_class=StrictJsonRoute, tags=["sessions"])
 
 
+@dataclass(frozen=True, kw_only=True)
+class UploadServices(HttpServices):
+    """What uploads add to what the application holds; the id of the database is told to whoever sends."""
+
+    database_id: str | None
+    running: Running
+    ingest: Ingest
+    keeper: Keeper
+
+
 async def _ingest(request: Request) -> Ingest:
-    ingest: Ingest = request.app.state.ingest
-    return ingest
+    return services_of(request.app, UploadServices).ingest
 
 
 Ingests = Annotated[Ingest, Depends(_ingest)]
@@ -54,20 +66,20 @@ async def upload_session(
     key: KeyHeader = None,
 ) -> SessionRead:
     """Send telemetry of one magnetometer; the same bytes again are the same session, and mend it where it lost them."""
-    state = request.app.state
-    state.uploads.check(caller)
+    held = services_of(request.app, UploadServices)
+    held.admission.check(caller)
     if not is_short(request):
-        await run_in_threadpool(require_satellite, satellite_id, caller, state.database)
-    if state.settings.max_mb_per_day is not None:
-        await run_in_threadpool(_check_day, request, caller, state.database, state.settings)
-    with state.running.hold(caller, key):
-        async with state.uploads.place(caller):
-            upload = await receive(request, state.settings, authenticate)
-            kept = await state.keeper.keep(Asked(caller, satellite_id, query, upload, key))
+        await run_in_threadpool(require_satellite, satellite_id, caller, held.database)
+    if held.settings.max_mb_per_day is not None:
+        await run_in_threadpool(_check_day, request, caller, held.database, held.settings)
+    with held.running.hold(caller, key):
+        async with held.admission.place(caller):
+            upload = await receive(request, held.settings, authenticate)
+            kept = await held.keeper.keep(Asked(caller, satellite_id, query, upload, key))
     response.status_code = 201 if kept.is_new or kept.is_restored else 200
     response.headers["Location"] = f"/api/v1/sessions/{kept.session.id}"
-    if state.database_id is not None:
-        response.headers["Magcal-Database"] = state.database_id
+    if held.database_id is not None:
+        response.headers["Magcal-Database"] = held.database_id
     return session_read(kept.session, kept.job_id)
 
 
@@ -84,7 +96,7 @@ async def append_samples(
     """Append a chunk to an open session; the same bytes again change nothing."""
     await run_in_threadpool(_get_row, session_id, caller, db)
     await run_in_threadpool(_check_day, request, caller, db, config)
-    async with request.app.state.uploads.place(caller):
+    async with services_of(request.app, UploadServices).admission.place(caller):
         upload = await receive(request, config, authenticate)
         return session_read(await run_in_threadpool(ingest.append, caller, session_id, upload, query.epoch_text))
 

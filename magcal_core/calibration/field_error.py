@@ -11,13 +11,13 @@ parameters at |B| = F and V their covariance, the error in the worst direction i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
 from magcal_core.arrays import Floats
-from magcal_core.sensor.model import inverse_lower, matrix_of_parameters
+from magcal_core.numerics.sphere import even_directions
+from magcal_core.sensor.model import inverse_lower
 from magcal_core.sensor.parameterisation import matrix_jacobian
 from magcal_core.sensor.parameters import Parameters
 
@@ -53,7 +53,7 @@ def field_error(parameters: Parameters, covariance: Floats) -> FieldError:
 
     The bias is that at the regressors' zero: give the covariance at their mean where there are any.
     """
-    matrix = matrix_of_parameters(parameters.scale, np.deg2rad(parameters.nonorthogonality_deg))
+    matrix = parameters.matrix
     jacobian = matrix_jacobian(matrix)
     jacobian[3:] = np.rad2deg(jacobian[3:])
     back = np.zeros((9, 9))
@@ -70,7 +70,7 @@ def field_error(parameters: Parameters, covariance: Floats) -> FieldError:
         )
         for part in _PARTS.values()
     ]
-    return FieldError(found, _directions()[at], names[int(np.argmax(sizes))])
+    return FieldError(found, even_directions(DIRECTIONS)[at], names[int(np.argmax(sizes))])
 
 
 def field_error_of_matrix(matrix: Floats, covariance: Floats) -> FieldError:
@@ -83,7 +83,7 @@ def field_error_of_matrix(matrix: Floats, covariance: Floats) -> FieldError:
         float(np.linalg.norm(part @ own.T))
         for part, own in zip(parts, (derivative[at, :, :9], derivative[at, :, 9:12]), strict=True)
     ]
-    return FieldError(found, _directions()[at], "matrix" if sizes[0] >= sizes[1] else "bias")
+    return FieldError(found, even_directions(DIRECTIONS)[at], "matrix" if sizes[0] >= sizes[1] else "bias")
 
 
 def _worst(derivative: Floats, covariance: Floats) -> tuple[float, int]:
@@ -99,18 +99,8 @@ def _worst(derivative: Floats, covariance: Floats) -> tuple[float, int]:
 def _responses(entries: tuple[tuple[int, int], ...]) -> Floats:
     """Return the change of the reading by elements of T and the bias at `FIELD_NT`, shape (directions, 3, q)."""
     made = np.zeros((DIRECTIONS, 3, len(entries) + 3))
-    b_nt = FIELD_NT * _directions()
+    b_nt = FIELD_NT * even_directions(DIRECTIONS)
     for column, (i, j) in enumerate(entries):
         made[:, i, column] = b_nt[:, j]
     made[:, :, len(entries) :] = np.eye(3)
     return made
-
-
-@lru_cache(maxsize=1)
-def _directions() -> Floats:
-    """Return unit vectors spread evenly over the sphere, shape (directions, 3): a Fibonacci spiral."""
-    turns = np.arange(DIRECTIONS) + 0.5
-    z = 1.0 - 2.0 * turns / DIRECTIONS
-    angle = turns * np.pi * (1.0 + np.sqrt(5.0))
-    radius = np.sqrt(1.0 - z**2)
-    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), z])

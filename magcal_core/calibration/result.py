@@ -18,6 +18,8 @@ from magcal_core.units import utc_text
 
 if TYPE_CHECKING:
     from magcal_core.calibration.refit.moments import FitMoments
+    from magcal_core.calibration.sessions.windows import Windows
+    from magcal_core.calibration.terms.bias_steps import BiasSteps
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,9 +27,10 @@ class Calibration:
     """Result of one calibration; `to_dict` gives the parameter set of the service's records.
 
     ``moments``: what the fit can be made again from, where they were asked for and the method has them.
+    ``bias_steps``, ``windows``: what was found of a bias that moves inside the session, where it was looked for.
 
-    ``extras`` holds results that only some calibrations have (``first_order``, ``ablation``, ...), under the names
-    that the record gives them.
+    ``extras`` holds what is for the record alone, as JSON under the names that the record gives it (``first_order``,
+    ``ablation``, ...); nothing is computed from it.
     """
 
     method: str
@@ -56,6 +59,13 @@ class Calibration:
     sources: Mapping[str, object] = field(default_factory=dict)
     extras: Mapping[str, object] = field(default_factory=dict)
     moments: FitMoments | None = None
+    bias_steps: BiasSteps | None = None
+    windows: Windows | None = None
+
+    @property
+    def has_full_matrix(self) -> bool:
+        """Whether T has elements above its diagonal: the fit has twelve parameters, not nine."""
+        return bool(np.triu(self.matrix, 1).any())
 
     def to_dict(self) -> dict[str, object]:
         """Return the parameter set as `service` records have it, without the ids that only the service knows."""
@@ -85,6 +95,8 @@ class Calibration:
             "observability": self.observability.to_dict(),
             "warnings": list(self.warnings),
             **self.extras,
+            **({} if self.bias_steps is None else {"bias_steps": self.bias_steps.to_dict()}),
+            **({} if self.windows is None else {"windows": self.windows.to_dict()}),
             "provenance": {
                 "orbits": [dict(orbit) for orbit in self.orbits],
                 "options": dict(self.options),

@@ -200,7 +200,7 @@ def sampled(orbit: Orbit, intervals: int, step_s: float) -> StateRows:
 def energy_balance(source: Orbit | StateRows, options: EnergyOptions) -> EnergyBalance:
     """Return the energy balance of an orbit from its epoch on, or of rows of states as they are.
 
-    A numerical orbit is integrated anew from its state, and SGP4 from its state at its epoch (unless ``options.orbit``
+    A numerical orbit is integrated again from its state, and SGP4 from its state at its epoch (unless ``options.orbit``
     is ``sgp4``), with the forces that ``options`` name; the drag of a numerical orbit stays where they name none. An
     ephemeris and rows are balanced as they are; rows keep their own times, so ``duration_s`` and ``step_s`` have no
     effect on them.

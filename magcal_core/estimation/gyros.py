@@ -13,7 +13,6 @@ from magcal_core.errors import OptionError
 from magcal_core.estimation.estimate import Estimate
 from magcal_core.estimation.inertial_field import inertial_field_nt
 from magcal_core.observations import corrected_nt
-from magcal_core.sensor.model import SensorModel
 
 RAD_S: Final = {"deg/s": np.pi / 180.0, "rad/s": 1.0}
 _FEWEST: Final = 40
@@ -57,7 +56,6 @@ def mounting_by_gyros(estimate: Estimate, known: Mounting, found: GyroMounting |
         return known
     sign = -1.0 if found.handedness == "left" else 1.0
     rotation, parameters = sign * found.rotation, estimate.fit.parameters
-    sensor = SensorModel(parameters.bias_nt, parameters.scale, parameters.nonorthogonality_deg)
     return replace(
         known,
         state="resolved",
@@ -68,5 +66,5 @@ def mounting_by_gyros(estimate: Estimate, known: Mounting, found: GyroMounting |
         rotation_vector_deg=found.rotation_vector_deg,
         standard_errors_deg=found.standard_errors_deg,
         bias_nt=parameters.bias_nt,
-        matrix=sensor.matrix @ rotation,
+        matrix=parameters.matrix @ rotation,
     )

@@ -14,7 +14,6 @@ from magcal_core.calibration.diagnosis.mounting import mounting_of
 from magcal_core.calibration.diagnosis.residual_table import residual_table
 from magcal_core.calibration.diagnosis.residual_warnings import residual_warnings
 from magcal_core.calibration.refit.moments import MAX_COLUMNS, FitMoments, moments_of_fit
-from magcal_core.calibration.refit.moments import METHODS as MOMENTS_METHODS
 from magcal_core.calibration.result import Calibration
 from magcal_core.calibration.terms.clock import AUTO_AGE_DAYS, ClockFit, with_rates
 from magcal_core.calibration.terms.locked_clock import LockedClock
@@ -24,13 +23,12 @@ from magcal_core.calibration.verdict.assessment import Judgement, extras_of, mat
 from magcal_core.errors import IndexRangeError, OrbitMissingError
 from magcal_core.estimation.estimate import Estimate, still
 from magcal_core.estimation.gyros import gyros_of, mounting_by_gyros
-from magcal_core.estimation.judging import Judged, source_of_reference, storm_of
+from magcal_core.estimation.judgement import Judged, source_of_reference, storm_of
 from magcal_core.observations import Observations
 from magcal_core.options import CalibrationOptions
 from magcal_core.orbit.earth.timescales import nanoseconds
 from magcal_core.reference.error_budget import error_budget
 from magcal_core.reference.referenced_samples import Referenced
-from magcal_core.sensor.model import SensorModel
 from magcal_core.sensor.regressors import is_of_scale
 
 
@@ -41,7 +39,6 @@ def calibration_of(
     fit, judgement, referenced = estimate.fit, judged.judgement, estimate.prepared.referenced
     parameters, samples = fit.parameters, referenced.samples
     names = len(parameters.names)
-    sensor = SensorModel(parameters.bias_nt, parameters.scale, parameters.nonorthogonality_deg)
     full = None if estimate.trust is None else estimate.trust.full
     lost = int(np.count_nonzero(fit.weights <= 0))
     steps, unseen_devices = _device_steps(estimate)
@@ -55,8 +52,8 @@ def calibration_of(
         covariance=judgement.honest.covariance[:names, :names],
         standard_errors=judgement.standard_errors,
         formal_standard_errors=fit.formal_standard_errors,
-        matrix=sensor.matrix if full is None else full.matrix,
-        correction_matrix=sensor.correction_matrix if full is None else np.asarray(np.linalg.inv(full.matrix)),
+        matrix=parameters.matrix if full is None else full.matrix,
+        correction_matrix=parameters.correction_matrix if full is None else np.asarray(np.linalg.inv(full.matrix)),
         candidates=fit.candidates,
         samples=len(estimate.observations) - lost,
         rejected=len(samples) - len(estimate.observations) + lost,
@@ -183,7 +180,7 @@ def _moments(estimate: Estimate, judgement: Judgement) -> FitMoments | None:
 
     None where its method has none, or where the scale has regressors: moments at fixed slopes would hide their errors.
     """
-    if estimate.estimator.name not in MOMENTS_METHODS or any(map(is_of_scale, estimate.fit.parameters.regressors)):
+    if not estimate.estimator.has_moments or any(map(is_of_scale, estimate.fit.parameters.regressors)):
         return None
     referenced = estimate.prepared.referenced
     o, samples, clock = estimate.observations, referenced.samples, estimate.clock

@@ -1,4 +1,4 @@
-"""Step 7, regressors: the columns that were asked for by name, or those that the data bear out."""
+"""Step 7, regressors: the columns that were asked for by name, or those that the data support."""
 
 from __future__ import annotations
 
@@ -30,7 +30,6 @@ from magcal_core.estimation.estimate import Estimate, Prepared, still
 from magcal_core.estimation.inertial_field import inertial_field_nt
 from magcal_core.estimation.start_and_loss import started
 from magcal_core.observations import Observations, corrected_nt
-from magcal_core.sensor.model import inverse_lower, matrix_of_parameters
 from magcal_core.sensor.regressors import lag_of, lagged_name, response_of, source_of
 
 LAG_GAIN: Final = 0.01
@@ -102,7 +101,7 @@ def _named_candidates(prepared: Prepared) -> tuple[RegressorCandidate, ...]:
 
 
 def _refitted(estimate: Estimate, names: tuple[str, ...]) -> Estimate:
-    """Return the estimate with ``names`` among its terms: from the start, its clock looked for anew beside them.
+    """Return the estimate with ``names`` among its terms: from the start, its clock looked for again beside them.
 
     What moves the bias may pass for an offset of the clock, or hide one.
     """
@@ -226,7 +225,7 @@ def index_beside(observations: Observations, fit: Fit, names: Sequence[str]) -> 
     pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
     squares = [u[:, i] * u[:, j] * size / field_nt * (1.0 if i == j else np.sqrt(2.0)) for i, j in pairs]
     design, root = np.column_stack([*squares, u]), np.sqrt(fit.weights[few] > 0)[:, None]
-    lower = inverse_lower(matrix_of_parameters(at.scale, np.deg2rad(at.nonorthogonality_deg)))
+    lower = at.correction_matrix
     terms = [(u @ lower) * _from_mean(some.regressors[name]).reshape(len(some), -1) for name in names]
     design = root * design
     if terms:

@@ -16,7 +16,7 @@ from magcal_core.calibration.estimators.linear_rows import Moments
 from magcal_core.calibration.observability.information import ENOUGH
 from magcal_core.calibration.terms.coarse_clock import POOR, CoarseClock, coarse_clock, quadric_share
 from magcal_core.calibration.terms.locked import Kind, LockedTerms, locked_terms
-from magcal_core.calibration.terms.locked_clock import RATE_STEP_S, ClockSearch, with_fall
+from magcal_core.calibration.terms.locked_clock import RATE_STEP_S, ClockSearch, with_derivative
 from magcal_core.calibration.terms.locked_columns import (
     LockedColumns,
     Surroundings,
@@ -110,7 +110,7 @@ class LockedSession:
     ) -> LockedTerms | None:
         """Return the estimate with locked errors considered; None where there is nothing that they are locked to.
 
-        ``has_clock``: the clock is one unknown more, and ``observations`` have the fall of the reference by it.
+        ``has_clock``: the clock is one unknown more, and ``observations`` have the derivative of the reference by it.
         ``stays``: the estimate does not move, only its errors are asked for; ``known``: the moments of the fit,
         where they have been taken already.
         """
@@ -172,7 +172,9 @@ class LockedSession:
         return None
 
     def with_rates(self, observations: Observations, offset_s: float) -> Observations:
-        """Return ``observations``, whose reference is at ``offset_s``, with its fall by the clock's offset."""
+        """Return ``observations``, whose reference is at ``offset_s``, with its derivative by the clock's offset."""
         names = tuple(observations.regressors)
         ends = [self.at_offset(names, offset_s + step_s) for step_s in (RATE_STEP_S, -RATE_STEP_S)]
-        return observations if None in ends else with_fall(observations, *[end for end in ends if end is not None])
+        return (
+            observations if None in ends else with_derivative(observations, *[end for end in ends if end is not None])
+        )

@@ -86,7 +86,7 @@ class ExternalKnowledge:
     used : ExternalField, optional
         The part of the field model; None where it has none.
     beside : tuple of HourlyIndex
-        Indices that are at hand and not in use, the better one first.
+        Indices that are available and not in use, the better one first.
     sources : FieldSources
     model : str
         Name of the field model.
@@ -99,7 +99,7 @@ class ExternalKnowledge:
 
     @classmethod
     def of(cls, field: FieldModel, sources: FieldSources | None = None) -> ExternalKnowledge:
-        """Return what a model and the ``sources`` at hand tell."""
+        """Return what a model and the available ``sources`` say."""
         at_hand = FieldSources() if sources is None else sources
         used = field.external if isinstance(field, SummedField) else None
         is_driven = used is not None and used.index is not None
@@ -113,7 +113,7 @@ class ExternalKnowledge:
         return "none" if self.used is None else self.used.kind
 
     def index(self, stamps_ns: Nanoseconds) -> HourlyIndex | None:
-        """Return the hourly index of a session with samples at ``stamps_ns``: the one in use, or one at hand."""
+        """Return the hourly index of a session with samples at ``stamps_ns``: the one in use, or an available one."""
         if self.used is not None and self.used.index is not None:
             return self.used.index
         return next((one for one in self.beside if (one.hours(stamps_ns) >= 0).any()), None)
@@ -130,7 +130,7 @@ class ExternalKnowledge:
         if self.used is None or self.used.index is None:
             base, away_nt = (UNKNOWN, 0.0) if self.used is None else (MEAN, MEAN_EXTERNAL_NT)
             ring = float(np.sqrt(np.mean((known[:, 0] - away_nt) ** 2)))
-            return Sizes(ring, base.induced, base.uniform), f"{index.name} is at hand and not in use"
+            return Sizes(ring, base.induced, base.uniform), f"{index.name} is available and not in use"
         largest = float(np.abs(known.sum(axis=1)).max()) if len(known) else 0.0
         why = f"{index.name} to {largest:.0f} nT"
         if self.used.kind == "dst":

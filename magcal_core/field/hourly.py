@@ -9,7 +9,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from magcal_core.arrays import Floats, Mask, Nanoseconds
 from magcal_core.field.index import HOUR_NS, Index
@@ -143,6 +142,8 @@ def split(index_nt: Floats) -> tuple[Floats, Floats]:
     without a value leave M. The Earth answers a change at once and forgets it over a month: a fixed ratio of the parts
     leaves 5.6 nT of |B| where this leaves 4.7.
     """
+    from scipy.signal import lfilter  # takes seconds to import, and few sessions need it
+
     known = ~np.isnan(index_nt)
     gain = -np.expm1(-1.0 / MEMORY_H)
     memory = np.full(len(index_nt), np.nan)

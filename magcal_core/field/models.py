@@ -20,18 +20,32 @@ from magcal_core.field.igrf import MAX_DEGREE, Igrf
 from magcal_core.field.sources import FieldFile, FieldSources, GivenIndices
 from magcal_core.field.summed import SummedField
 
-MAIN_FIELDS: Final[Mapping[str, Callable[[], Igrf | DirectDipole]]] = {
-    "igrf": Igrf,
-    "igrf-14": Igrf,
-    "igrf-13": lambda: Igrf(version=13),
-    "dipole": DirectDipole,
+
+@dataclass(frozen=True, slots=True)
+class MainField:
+    """A model of the main field: ``make`` returns it whole.
+
+    ``is_series``: an IGRF, which can be cut at a degree and frozen at a day, and to which a file's degrees are added.
+    """
+
+    make: Callable[[], FieldModel]
+    is_series: bool = False
+
+
+MAIN_FIELDS: Final[Mapping[str, MainField]] = {
+    "igrf": MainField(Igrf, is_series=True),
+    "igrf-14": MainField(Igrf, is_series=True),
+    "igrf-13": MainField(lambda: Igrf(version=13), is_series=True),
+    "dipole": MainField(DirectDipole),
 }
 """Name -> the model at its full degree; ``igrf`` is the newest generation."""
+_MAIN: Final = "|".join(map(re.escape, sorted(MAIN_FIELDS, key=len, reverse=True)))
 _NAME: Final = re.compile(
-    r"(?:(?P<main>igrf(?:-\d+)?|dipole)(?:-(?P<cut>\d{1,3})x(?P=cut))?(?:@(?P<day>\d{4}-\d{2}-\d{2}))?"
+    rf"(?:(?P<main>{_MAIN})"
+    r"(?:-(?P<cut>\d{1,3})x(?P=cut))?(?:@(?P<day>\d{4}-\d{2}-\d{2}))?"
     r"(?P<crust>\+file(?:-(?P<crust_cut>\d{1,3})x(?P=crust_cut))?)?"
     r"|(?P<file>file)(?:-(?P<file_cut>\d{1,3})x(?P=file_cut))?)"
-    r"(?:\+(?P<external>rc|dst|mean))?"
+    rf"(?:\+(?P<external>{'|'.join(EXTERNAL_KINDS)}))?"
 )
 
 
@@ -59,10 +73,11 @@ class FieldName:
     def parse(cls, name: str) -> FieldName | None:
         """Return the parts of ``name``; None where it is no model's."""
         match = _NAME.fullmatch(name)
-        if match is None or (match["main"] is not None and match["main"] not in MAIN_FIELDS):
+        if match is None:
             return None
         cut, file_cut = match["cut"], match["file_cut"] or match["crust_cut"]
-        if match["main"] == "dipole" and (cut or match["day"] or match["crust"]):
+        is_whole = match["main"] is not None and not MAIN_FIELDS[match["main"]].is_series
+        if is_whole and (cut or match["day"] or match["crust"]):
             return None
         has_file = bool(match["file"] or match["crust"])
         degrees = [None if text is None else int(text) for text in (cut, file_cut)]
@@ -141,7 +156,7 @@ def _main(name: str, parts: FieldName, frozen_epoch: np.datetime64 | None, given
         file = given.require_file(name)
         degree = _degree(parts.file_degree, file.min_degree, file.max_degree)
         return FileField(file, file.min_degree, degree, _file_name(parts.file_degree))
-    model = MAIN_FIELDS[parts.main]()
+    model = MAIN_FIELDS[parts.main].make()
     day = _day(parts.day) if frozen_epoch is None and parts.day else frozen_epoch
     if parts.degree is None and day is None:
         return model

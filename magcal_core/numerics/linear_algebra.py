@@ -11,6 +11,8 @@ from numba import njit
 from magcal_core.arrays import Floats
 from magcal_core.errors import NotObservableError
 
+_TINY: Final = 1e-300
+"""Diagonal of an unknown that nothing determines, so that nothing is divided by zero."""
 LEAST_PIVOT: Final = 1e-11
 """Share of a column's square, beside the others, below which some fifty thousand roundings leave no sure sign."""
 
@@ -31,6 +33,38 @@ def scaled_inverse(normal: Floats) -> Floats:
             "the samples do not determine the parameters: their normal matrix is singular"
         ) from error
     return np.asarray(inverse / np.outer(size, size))
+
+
+def unit_diagonal(normal: Floats) -> tuple[Floats, Floats]:
+    """Return a normal matrix scaled to a unit diagonal, and the roots of its diagonal, (p,), that it was divided by."""
+    size = np.sqrt(np.maximum(np.diag(normal), _TINY))
+    return normal / np.outer(size, size), size
+
+
+def scaled_solution(normal: Floats, right: Floats) -> Floats:
+    """Return N^-1 ``right``, shape (p,) or (p, m), taken with a unit diagonal.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The matrix is singular.
+    """
+    scaled, size = unit_diagonal(normal)
+    if right.ndim == 1:
+        return np.asarray(np.linalg.solve(scaled, right / size) / size)
+    return np.asarray(np.linalg.solve(scaled, right / size[:, None]) / size[:, None])
+
+
+def scaled_condition(normal: Floats) -> float:
+    """Return the condition number of a normal matrix with a unit diagonal."""
+    return float(np.linalg.cond(unit_diagonal(normal)[0]))
+
+
+def floored_inverse(matrix: Floats, floor: float) -> Floats:
+    """Return the inverse of a matrix whose eigenvalues, under a unit diagonal, are no smaller than ``floor``."""
+    scaled, size = unit_diagonal(matrix)
+    values, vectors = np.linalg.eigh(scaled)
+    return np.asarray((vectors / np.maximum(values, floor)) @ vectors.T / np.outer(size, size))
 
 
 def is_positive_definite(normal: Floats) -> bool:

@@ -32,8 +32,8 @@ def equal_area_disc(v: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     return stretch * u[:, 0], stretch * u[:, 1], u[:, 2] >= 0.0
 
 
-@lru_cache(maxsize=1)
-def _even_directions(count: int) -> Floats:
+@lru_cache(maxsize=4)
+def even_directions(count: int) -> Floats:
     """Return unit vectors spread evenly over the sphere, shape (count, 3): a Fibonacci spiral."""
     turns = np.arange(count) + 0.5
     z = 1.0 - 2.0 * turns / count

@@ -52,7 +52,7 @@ class ReferenceReport:
         For each orbit used: its ``index`` in the sequence given, ``model``, ``epoch``, largest ``age_days``, and the
         number of ``samples`` that use it.
     field_model : str
-        Name of the field model; of no effect where the telemetry brought the field itself.
+        Name of the field model; of no effect where the telemetry has the field itself.
     warnings : tuple of str
         Codes and texts, such as ``tle_old: ...``.
     interpolation_km : float

@@ -300,7 +300,7 @@ def field_of_parts(
 ) -> Iterator[tuple[Rows, Floats]]:
     """Yield rows of the ``parts`` and the field there, shape (rows, 3), nT, in GCRF or else in ITRF.
 
-    Interpolated along an orbit where its samples are dense, by what is ``known`` or else anew; elsewhere at
+    Interpolated along an orbit where its samples are dense, by what is ``known`` or else computed; elsewhere at
     ``r_itrf_km``, shape (n, 3), or, where that is not given, at the orbit's position.
     """
     for part in parts:

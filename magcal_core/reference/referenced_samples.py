@@ -1,4 +1,4 @@
-"""Samples in time order with their reference field, which can be computed anew at shifted times."""
+"""Samples in time order with their reference field, which can be recomputed at shifted times."""
 
 from __future__ import annotations
 
@@ -224,7 +224,7 @@ def has_columns(samples: Samples, regressors: Sequence[str]) -> NDArray[np.bool_
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovableObservations:
-    """Observations whose reference can be computed anew at shifted times.
+    """Observations whose reference can be recomputed at shifted times.
 
     Attributes
     ----------

@@ -9,7 +9,6 @@ from numba import njit
 
 from magcal_core.arrays import Floats
 from magcal_core.numerics.vectors import lengths
-from magcal_core.sensor.model import inverse_lower, matrix_of_parameters
 from magcal_core.sensor.parameters import Parameters
 from magcal_core.sensor.regressors import term_nt
 
@@ -75,7 +74,7 @@ class FittedReadings:
 
 
 def _lower(parameters: Parameters) -> Floats:
-    return inverse_lower(matrix_of_parameters(parameters.scale, np.deg2rad(parameters.nonorthogonality_deg)))
+    return parameters.correction_matrix
 
 
 def readings_without(regressors: Mapping[str, Floats], h_nt: Floats, parameters: Parameters) -> Floats:

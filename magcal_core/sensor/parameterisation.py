@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_core.arrays import Floats
-from magcal_core.sensor.model import inverse_lower, matrix_of_parameters, parameters_of_matrix
+from magcal_core.sensor.model import inverse_lower, parameters_of_matrix
 from magcal_core.sensor.parameters import Parameters
 
 _LOWER_AT = np.tril_indices(3)
@@ -131,7 +131,7 @@ def theta_jacobian(theta: Floats, k: int) -> Floats:
 
 def theta_of_parameters(parameters: Parameters, z: Standardised) -> Floats:
     """Return the scalar fit's unknowns (L, c, d) at ``parameters``; regressors that they do not have start at zero."""
-    lower = inverse_lower(matrix_of_parameters(parameters.scale, np.deg2rad(parameters.nonorthogonality_deg)))
+    lower = parameters.correction_matrix
     slopes = [np.asarray(parameters.regressors.get(name, np.zeros(3))) for name in z.names]
     bias = parameters.bias_nt + sum((m * s for m, s in zip(z.mean, slopes, strict=True)), np.zeros(3))
     scaled = [lower @ (s * spread) for s, spread in zip(slopes, z.spread, strict=True)]

@@ -10,10 +10,13 @@ import numpy as np
 
 from magcal_core.arrays import Floats
 from magcal_core.errors import InputError
+from magcal_core.sensor.model import SensorModel, inverse_lower, matrix_of_parameters
 from magcal_core.sensor.regressors import OF_SCALE, TIME_REGRESSOR, hours_since, source_of
 from magcal_core.units import utc_text
 
-_GROUPS: Final = ("bias_nt", "scale", "nonorthogonality_deg")
+GROUPS: Final = ("bias_nt", "scale", "nonorthogonality_deg")
+SENSOR_NAMES: Final = tuple(f"{group}[{i}]" for group in GROUPS for i in range(3))
+"""The nine parameters of the sensor alone, in the order of a covariance."""
 _SLOPE: Final = "regressors."
 """How the name of a regressor's coefficient begins."""
 
@@ -48,10 +51,9 @@ class Parameters:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters in the order of the covariance."""
-        base = [f"{group}[{i}]" for group in _GROUPS for i in range(3)]
         extra = [f"{_SLOPE}{name}[{i}]" for name in self.regressors for i in range(3)]
         clock = [] if self.time_offset_s is None else ["time_offset_s"]
-        return (*base, *extra, *clock)
+        return (*SENSOR_NAMES, *extra, *clock)
 
     @property
     def vector(self) -> Floats:
@@ -59,6 +61,27 @@ class Parameters:
         extra = [self.regressors[name] for name in self.regressors]
         clock = [] if self.time_offset_s is None else [np.array([self.time_offset_s])]
         return np.concatenate([self.bias_nt, self.scale, self.nonorthogonality_deg, *extra, *clock])
+
+    @property
+    def matrix(self) -> Floats:
+        """T, shape (3, 3): true field in the base frame to reading."""
+        return matrix_of_parameters(self.scale, np.deg2rad(self.nonorthogonality_deg))
+
+    @property
+    def correction_matrix(self) -> Floats:
+        """Inverse of T, shape (3, 3): reading to true field in the base frame."""
+        return inverse_lower(self.matrix)
+
+    @property
+    def sensor(self) -> SensorModel:
+        """The sensor alone, without clock and regressors.
+
+        Raises
+        ------
+        OptionError
+            These are not the parameters of a magnetometer: standard errors, or values that are not finite.
+        """
+        return SensorModel(self.bias_nt, self.scale, self.nonorthogonality_deg)
 
     def with_vector(self, values: Floats) -> Parameters:
         """Return parameters of the same shape with other ``values``, in the order of `names`."""
@@ -105,7 +128,7 @@ class Parameters:
             values = record["parameters"]
             if not isinstance(values, Mapping):
                 raise InputError("the record is no parameter set: parameters are not a mapping")
-            bias, scale, angles = (np.array(values[group], np.float64) for group in _GROUPS)
+            bias, scale, angles = (np.array(values[group], np.float64) for group in GROUPS)
             clock, base = values.get("time_offset_s"), values.get("time_base_utc")
             since = None if base is None else np.datetime64(str(base).removesuffix("Z"), "ns")
             slopes = {name: np.array(slope, np.float64) for name, slope in dict(values.get("regressors", {})).items()}

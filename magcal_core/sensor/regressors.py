@@ -25,7 +25,7 @@ BEFORE: Final = "before:"
 
 
 NO_TIME_BASE: Final = (
-    "the parameter set drifts with time and does not say since when: calibrate anew to have one that does"
+    "the parameter set drifts with time and does not say since when: calibrate again to have one that does"
 )
 
 

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.normal_equations import equations_at
 from magcal_core.errors import EstimationError
+from magcal_core.numerics.linear_algebra import floored_inverse
+from magcal_core.numerics.sphere import even_directions
 from magcal_core.observations import Observations
 from magcal_core.pipeline import calibrate
-from magcal_core.sensor.model import SensorModel, matrix_of_parameters
+from magcal_core.sensor.model import SensorModel
 from magcal_core.sensor.parameters import Parameters
 from magcal_core.simulation.missions import Mission
 
@@ -94,9 +96,8 @@ def effective_truth(mission: Mission) -> SensorModel:
 
 def largest_error_share(parameters: Parameters, truth: SensorModel) -> float:
     """Return the largest error of the corrected field over all directions at `FIELD_NT`, as a share of it."""
-    b_nt = FIELD_NT * _sphere()
-    estimate = SensorModel(parameters.bias_nt, parameters.scale, parameters.nonorthogonality_deg)
-    return float(np.linalg.norm(estimate.correct(truth.apply(b_nt)) - b_nt, axis=1).max() / FIELD_NT)
+    b_nt = FIELD_NT * even_directions(_DIRECTIONS)
+    return float(np.linalg.norm(parameters.sensor.correct(truth.apply(b_nt)) - b_nt, axis=1).max() / FIELD_NT)
 
 
 def expected_share(mission: Mission, truth: SensorModel) -> float:
@@ -109,30 +110,20 @@ def expected_share(mission: Mission, truth: SensorModel) -> float:
     observations = Observations.of(mission.simulation.samples_with_reference)
     at = Parameters(truth.bias_nt, truth.scale, truth.nonorthogonality_deg)
     normal = equations_at(observations, at, is_vector=is_vector).normal
-    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    lengths, vectors = np.linalg.eigh(normal / np.outer(size, size))
-    inverse = (vectors / np.maximum(lengths, 1e-12)) @ vectors.T / np.outer(size, size)
-    b_nt = FIELD_NT * _sphere()
+    inverse = floored_inverse(normal, 1e-12)
+    b_nt = FIELD_NT * even_directions(_DIRECTIONS)
     step = 1e-3 * np.sqrt(np.diag(inverse)) + 1e-9
     columns = []
     for i in range(9):
         nudged = at.vector.copy()
         nudged[i] += step[i]
         moved = at.with_vector(nudged)
-        sensor = matrix_of_parameters(moved.scale, np.deg2rad(moved.nonorthogonality_deg))
+        sensor = moved.matrix
         corrected = (truth.apply(b_nt) - moved.bias_nt) @ np.linalg.inv(sensor).T
         columns.append((corrected - b_nt) / step[i])
     jacobian = np.stack(columns, axis=-1)
     variances = np.einsum("nci,ij,ncj->n", jacobian, inverse, jacobian) * mission.sigma_nt**2
     return float(2.0 * np.sqrt(variances.max()) / FIELD_NT)
-
-
-def _sphere() -> Floats:
-    turns = np.arange(_DIRECTIONS) + 0.5
-    z = 1.0 - 2.0 * turns / _DIRECTIONS
-    angle = turns * np.pi * (1.0 + np.sqrt(5.0))
-    radius = np.sqrt(1.0 - z**2)
-    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), z])
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,9 +1,9 @@
-"""Telemetry in and out: one file a format, one line a format in `READERS` and `WRITERS`."""
+"""Telemetry in and out: one file a format, one line a format in `formats.FORMATS`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path, PurePath
+from collections.abc import Sequence
+from pathlib import Path
 from typing import BinaryIO, Final
 
 import pyarrow as pa
@@ -16,78 +16,25 @@ from magcal_core.telemetry.assembly import assemble as assemble
 from magcal_core.telemetry.assembly import merge_samples as merge_samples
 from magcal_core.telemetry.columns import ColumnMap, TableForm
 from magcal_core.telemetry.compression import MAX_DECOMPRESSED_BYTES, decompress
-from magcal_core.telemetry.csv_table import read_csv, write_csv
 from magcal_core.telemetry.export import samples_table
+from magcal_core.telemetry.formats import (
+    FORMATS,
+    MEDIA_TYPES,
+    READERS,
+    SUFFIXES,
+    WRITERS,
+    format_of_bytes,
+    format_of_name,
+)
 from magcal_core.telemetry.iso_times import Spans
-from magcal_core.telemetry.json_columns import read_json_columns, write_json_columns
-from magcal_core.telemetry.ndjson import read_ndjson, write_ndjson
-from magcal_core.telemetry.parquet import read_parquet, write_parquet
 from magcal_core.telemetry.quality import LEO_FIELD_NT, MAX_BAD_FRACTION, MAX_CONFLICT_FRACTION
 from magcal_core.telemetry.quality import Quality as Quality
-from magcal_core.telemetry.table import Reader
 from magcal_core.telemetry.text import MAX_ROWS
 from magcal_core.telemetry.time_forms import TimeForm
 from magcal_core.telemetry.validity import Validity
 
-READERS: Final[Mapping[str, Reader]] = {
-    "csv": read_csv,
-    "ndjson": read_ndjson,
-    "json": read_json_columns,
-    "parquet": read_parquet,
-}
-WRITERS: Final[Mapping[str, Callable[[pa.Table], bytes]]] = {
-    "csv": write_csv,
-    "ndjson": write_ndjson,
-    "json": write_json_columns,
-    "parquet": write_parquet,
-}
-MEDIA_TYPES: Final[Mapping[str, str]] = {
-    "text/csv": "csv",
-    "text/tab-separated-values": "csv",
-    "application/csv": "csv",
-    "application/x-ndjson": "ndjson",
-    "application/ndjson": "ndjson",
-    "application/jsonl": "ndjson",
-    "application/json": "json",
-    "application/vnd.apache.parquet": "parquet",
-    "application/x-parquet": "parquet",
-}
-"""Content type -> format; the first one of a format is what magcal itself answers with."""
-SUFFIXES: Final[Mapping[str, str]] = {
-    ".csv": "csv",
-    ".tsv": "csv",
-    ".txt": "csv",
-    ".ndjson": "ndjson",
-    ".jsonl": "ndjson",
-    ".json": "json",
-    ".parquet": "parquet",
-    ".pq": "parquet",
-}
-"""Ending of a file name -> format."""
-
-_COMPRESSED: Final = frozenset({".gz", ".zst", ".zstd"})
-_PARQUET_MAGIC: Final = b"PAR1"
 _LARGE_BYTES: Final = 16 << 20
 """Size past which the parser's memory is given back before the samples take theirs."""
-
-
-def format_of_name(name: str | PurePath) -> str | None:
-    """Return the format that a file's name tells, endings of compression aside; None where it tells none."""
-    suffixes = [suffix.lower() for suffix in PurePath(name).suffixes if suffix.lower() not in _COMPRESSED]
-    return SUFFIXES.get(suffixes[-1]) if suffixes else None
-
-
-def format_of_bytes(data: bytes) -> str:
-    """Return the format that a body begins like."""
-    if data.startswith(_PARQUET_MAGIC):
-        return "parquet"
-    head = data[: 1 << 16].removeprefix(b"\xef\xbb\xbf").lstrip()
-    if head.startswith(b"["):
-        return "json"
-    if not head.startswith(b"{"):
-        return "csv"
-    colon = head.find(b":")
-    return "json" if head[colon + 1 :].lstrip().startswith(b"[") else "ndjson"
 
 
 def read_telemetry(
@@ -137,9 +84,9 @@ def read_telemetry(
     validity_column, valid_values : str, values
         The column that says which readings are good, and its values that do.
     orbit_spans : pairs of instants
-        Where the orbits at hand are good: by them a message tells the form that times may have.
+        Where the available orbits are good: by them a message tells the form that times may have.
     field_range_nt : pair of floats, optional
-        Bounds of |B|, nT, by which a wrong unit is told; None leaves the unit unchecked.
+        Bounds of |B|, nT, by which a wrong unit is recognised; None leaves the unit unchecked.
     max_bad_fraction, max_conflict_fraction : float
         Shares of flagged samples past which the table is refused.
     max_rows, max_decompressed_bytes : int
@@ -245,12 +192,16 @@ def _chosen_format(asked: str | None, name: str | Path | None, body: bytes) -> s
         raise TelemetryFormatError("the telemetry is empty")
     kind = asked or (None if name is None else format_of_name(name)) or format_of_bytes(body)
     looks = format_of_bytes(body)
-    if "parquet" in (kind, looks) and kind != looks:
+    if kind not in READERS:
+        raise TelemetryFormatError(f"{kind} is only written; formats of telemetry are {', '.join(READERS)}")
+    is_certain = FORMATS[kind].signature or FORMATS[looks].has_signature(body)
+    if is_certain and kind != looks:
         raise TelemetryFormatError(f"the telemetry is declared as {kind} and begins like {looks}")
     return kind
 
 
 __all__ = [
+    "FORMATS",
     "MEDIA_TYPES",
     "READERS",
     "SUFFIXES",

@@ -217,7 +217,7 @@ def _housekeeping(table: RawTable, order: NDArray[np.intp] | None, flags: NDArra
 
 
 def merge_samples(parts: list[Samples]) -> Samples:
-    """Return the samples of several tables as one, in time order, repeated times flagged anew.
+    """Return the samples of several tables as one, in time order, repeated times flagged again.
 
     Columns that only some parts have are NaN in the others; a sample without attitude or reference among samples
     that have one is flagged for it.

@@ -11,7 +11,7 @@ import numpy as np
 from magcal_core.errors import TimeError, TimeZoneMissingError
 
 Spans = tuple[tuple[np.datetime64, np.datetime64], ...]
-"""Stretches of time, UTC, in which the orbits at hand are good."""
+"""Stretches of time, UTC, in which the available orbits are good."""
 
 NO_TIME: Final = int(np.iinfo(np.int64).min)
 """Stands for a missing time; the bit pattern of NaT."""

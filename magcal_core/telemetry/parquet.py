@@ -10,7 +10,7 @@ import pyarrow as pa
 from magcal_core.errors import TelemetryFormatError
 from magcal_core.telemetry.columns import PLAIN, ColumnMap, TableForm, plan_columns
 from magcal_core.telemetry.long_table import LongColumns, long_columns, long_to_raw
-from magcal_core.telemetry.table import RawTable, from_arrow
+from magcal_core.telemetry.table import RawTable, TableFormat, from_arrow
 from magcal_core.telemetry.text import MAX_ROWS, check_row_count
 
 if TYPE_CHECKING:
@@ -89,3 +89,19 @@ def write_parquet(table: pa.Table) -> bytes:
     body = pa.BufferOutputStream()
     write_table(table, body, compression="zstd", use_dictionary=False)
     return bytes(body.getvalue())
+
+
+def _arrow(data: bytes) -> pa.Table:
+    from pyarrow.parquet import read_table
+
+    return read_table(pa.BufferReader(data))
+
+
+FORMAT: Final = TableFormat(
+    read_parquet,
+    write_parquet,
+    _arrow,
+    ("application/vnd.apache.parquet", "application/x-parquet"),
+    (".parquet", ".pq"),
+    signature=b"PAR1",
+)

@@ -12,8 +12,11 @@ import httpx2
 import pytest
 import structlog
 import uvicorn
+from fastapi import FastAPI
 
 from app.access.key_repository import KeyRepository
+from app.http.services import services_of
+from app.main import Services
 from app.server import listen, prepare, server_of
 from app.settings import Settings
 from app.storage.database import Database
@@ -31,10 +34,16 @@ class Service:
     admin_key: str
 
     @property
+    def services(self) -> Services:
+        """What the server's application holds, for looking behind HTTP."""
+        application = self.server.config.app
+        assert isinstance(application, FastAPI)
+        return services_of(application, Services)
+
+    @property
     def database(self) -> Database:
-        """The server's own database object, for looking behind HTTP."""
-        database: Database = self.server.config.app.state.database  # type: ignore[union-attr]
-        return database
+        """The server's own database object."""
+        return self.services.database
 
     def key(self, *scopes: str, satellites: list[str] | None = None) -> str:
         """Return a new key."""

@@ -175,7 +175,7 @@ def test_an_audit_reads_every_file(new_service):
     with service.client() as api:
         post(api, "/indices", (DATA / "rc_2024-05.dat").read_bytes())
         file = post(api, "/field-files", (DATA / "core.shc").read_bytes()).json()
-    store = service.server.config.app.state.store
+    store = service.services.store
     assert audit(service.database, store).findings == ()
     with service.database.write() as session:
         row = session.get_one(FieldFile, file["id"])

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from magcal_core.calibration.estimators.registry import ESTIMATORS
 from magcal_core.errors import EstimationError
-from magcal_core.options import METHODS
 from magcal_core.pipeline import calibrate
 from tests.magcal_core.conftest import fly
 from tests.magcal_core.garbage import KINDS, spoiled
@@ -56,7 +56,7 @@ def test_a_session_with_bad_rows_is_calibrated_as_if_they_were_not_there(kind, m
         assert quality["used"] + quality["rejected"] + sum(quality["flagged"].values()) == 700
 
 
-@pytest.mark.parametrize("method", [name for name in METHODS if name != "scalar"])
+@pytest.mark.parametrize("method", [name for name in ESTIMATORS if name != "scalar"])
 @pytest.mark.parametrize("kind", ["zeros", "spikes of 200 uT", "axes swapped", "two sensors interleaved"])
 def test_every_method_survives_a_third_of_bad_rows(method, kind, missions):
     samples, _ = spoiled(missions[0], kind, 0.3, 5)
@@ -65,7 +65,7 @@ def test_every_method_survives_a_third_of_bad_rows(method, kind, missions):
     assert got.verdict.grade in ("accept", "weak"), got.verdict.to_dict()
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ESTIMATORS)
 def test_clean_data_give_the_plain_fit_bit_for_bit(method, missions):
     got, want = (
         calibrate(missions[1].samples, method=method),

@@ -16,7 +16,7 @@ from magcal_core.errors import (
     TleEpochError,
     TooManyBadSamplesError,
 )
-from magcal_core.options import METHODS, CalibrationOptions
+from magcal_core.options import CalibrationOptions
 from magcal_core.orbit.messages.tle import parse_tles
 from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
 from magcal_core.pipeline import calibrate
@@ -52,11 +52,7 @@ def flat(document):
     return [document]
 
 
-def test_options_know_every_estimator():
-    assert set(METHODS) == set(ESTIMATORS)
-
-
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ESTIMATORS)
 @pytest.mark.parametrize("name", ["nominal", "outliers"])
 def test_worked_case_comes_out_of_the_record(data_dir, name, method):
     """The same minimiser, deterministic: 1e-6 of max(1, |answer|); the search 1e-4."""
@@ -73,7 +69,7 @@ def test_worked_case_comes_out_of_the_record(data_dir, name, method):
         assert after * math.sqrt(n) == pytest.approx(expected["scalar_lm"]["phi"], rel=1e-6)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ESTIMATORS)
 def test_record_is_json_with_the_fields_of_the_service(nominal, method):
     calibration = calibrate(nominal, method=method)
     record = json.loads(json.dumps(calibration.to_dict(), allow_nan=False))
@@ -90,7 +86,7 @@ def test_record_is_json_with_the_fields_of_the_service(nominal, method):
     assert all(math.isfinite(x) for x in flat(record) if isinstance(x, float))
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ESTIMATORS)
 def test_result_does_not_depend_on_the_order_of_the_samples(nominal, method):
     """Bit for bit: the samples are sorted before anything is computed."""
     shuffled = nominal.take(np.random.default_rng(4).permutation(len(nominal)))
@@ -137,7 +133,7 @@ def test_a_reference_in_a_turned_frame_gives_the_full_matrix(nominal):
     assert (straight.extras["parameters_of"], got.extras["parameters_of"]) == ("lower", "full")
     assert got.verdict.grade == "accept"
     assert [one for one in got.warnings if one.startswith("misaligned")]
-    assert got.extras["bias_steps"]["state"] == "not_searched", "what turns is no step of nine parameters' bias"
+    assert got.to_dict()["bias_steps"]["state"] == "not_searched", "what turns is no step of nine parameters' bias"
     np.testing.assert_allclose(got.matrix, straight.matrix @ rotation, atol=1e-3)
     np.testing.assert_allclose(got.parameters.scale, straight.parameters.scale, atol=1e-3)
     errors = np.array(got.extras["matrix_standard_errors"])

@@ -34,7 +34,4 @@ class JobFailed:
 def _action(situation: Situation, job: JobFacts) -> Action | None:
     if (job.error or {}).get("code") in OF_THE_ORBIT:
         return Action("Choose orbit", "GET", satellite_page(situation, "#orbits"))
-    if not job.session_ids:
-        return Action("Show", "GET", f"/jobs?q={job.id}")
-    body = {**job.request, "kind": "calibration", "session_ids": list(job.session_ids)}
-    return Action("Try again", "POST", "/api/v1/jobs", body)
+    return Action("Try again", "POST", f"/api/v1/jobs/{job.id}/retry")

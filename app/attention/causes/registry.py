@@ -8,6 +8,7 @@ from typing import Final
 from app.attention.causes.aboard import NotAboard
 from app.attention.causes.ages import DataStale, OrbitStale, StationSilent
 from app.attention.causes.contract import Cause, Severity
+from app.attention.causes.forecast import ForecastOut
 from app.attention.causes.job_failed import JobFailed
 from app.attention.causes.orbits import OrbitMissing, OrbitOtherObject
 from app.attention.causes.session_verdicts import SessionVerdict
@@ -21,6 +22,7 @@ CAUSES: Final[Mapping[str, Cause]] = {
     "set_refused": SetRefused(),
     "no_active_set": NoActiveSet(),
     "active_weak": ActiveWeak(),
+    "forecast_out": ForecastOut(),
     "session_watch": SessionVerdict("watch", "is to be watched under the set in force", Severity.WATCH),
     "not_aboard": NotAboard(),
     "station_silent": StationSilent(),

@@ -122,12 +122,13 @@ class OrbitWatch:
 
     def _begin(self, satellite: Watched, ledger: str, every_h: float) -> bool:
         """Return whether the satellite may be asked for now, which is written down then."""
+        return self._database.transact(lambda session: self._noted(session, satellite, ledger, every_h))
+
+    def _noted(self, session: Session, satellite: Watched, ledger: str, every_h: float) -> bool:
         now = utc_now()
-        with self._database.write() as session:
-            if stopped(session, self._name) is not None or not self._may(session, satellite, ledger, every_h, now):
-                return False
-            row = ConnectorRequest(id=new_id(), source=ledger, satellite_id=satellite.satellite_id, asked_at=now)
-            session.add(row)
+        if stopped(session, self._name) is not None or not self._may(session, satellite, ledger, every_h, now):
+            return False
+        session.add(ConnectorRequest(id=new_id(), source=ledger, satellite_id=satellite.satellite_id, asked_at=now))
         return True
 
     def _may(self, session: Session, satellite: Watched, ledger: str, every_h: float, now: datetime) -> bool:
@@ -151,8 +152,8 @@ class OrbitWatch:
         asked = self._orbits(satellite, self._name, lambda: self._source.ask(self._settings, satellite))
         if isinstance(asked, Asked):
             return asked
-        with self._database.write() as session:
-            _, is_new = OrbitRepository(session, SYSTEM, satellite.satellite_id).add(asked)
+        of = satellite.satellite_id
+        _, is_new = self._database.transact(lambda session: OrbitRepository(session, SYSTEM, of).add(asked))
         return self._note(satellite, self._name, "new" if is_new else "known", None)
 
     def _ask_past(self, satellite: Watched) -> list[Asked]:
@@ -172,11 +173,13 @@ class OrbitWatch:
         self._pause(random.uniform(*BETWEEN_S))  # noqa: S311  spreads requests, guards nothing
         if isinstance(asked, Asked):
             return [asked]
-        with self._database.write() as session:
-            if asked:
-                OrbitRepository(session, SYSTEM, satellite.satellite_id).add(asked)
-            past.note(session, self._name, satellite.satellite_id, span)
+        self._database.transact(lambda session: self._keep_past(session, satellite, span, asked))
         return [self._note(satellite, self._past_ledger, "past" if asked else "no past", None)]
+
+    def _keep_past(self, session: Session, satellite: Watched, span: past.Span, orbits: list[ParsedOrbit]) -> None:
+        if orbits:
+            OrbitRepository(session, SYSTEM, satellite.satellite_id).add(orbits)
+        past.note(session, self._name, satellite.satellite_id, span)
 
     def _orbits(self, satellite: Watched, ledger: str, ask: Callable[[], Reply | None]) -> list[ParsedOrbit] | Asked:
         """Return the satellite's orbits of an answer, none where the source has none; or what went wrong."""
@@ -193,28 +196,29 @@ class OrbitWatch:
             return self._note(satellite, ledger, "failed", why)
 
     def _note(self, satellite: Watched, ledger: str, state: str, why: str | None) -> Asked:
-        with self._database.write() as session:
-            last = session.scalars(
-                select(ConnectorRequest)
-                .where(ConnectorRequest.source == ledger, ConnectorRequest.satellite_id == satellite.satellite_id)
-                .order_by(ConnectorRequest.asked_at.desc())
-                .limit(1)
-            ).one()
-            last.outcome = (why or state)[:500]
-            old = ConnectorRequest.asked_at < utc_now() - KEEP_REQUESTS
-            for row in session.scalars(select(ConnectorRequest).where(old, ConnectorRequest.source == ledger)):
-                session.delete(row)
+        self._database.transact(lambda session: self._write_down(session, satellite, ledger, (why or state)[:500]))
         if why is not None:
             log.warning("orbit_not_fetched", source=ledger, satellite=satellite.satellite_id, why=why)
         return Asked(satellite.satellite_id, state, why)
 
+    def _write_down(self, session: Session, satellite: Watched, ledger: str, outcome: str) -> None:
+        """Keep what came of the latest request for a satellite, and forget requests that are old."""
+        mine = ConnectorRequest.source == ledger
+        own = select(ConnectorRequest).where(mine, ConnectorRequest.satellite_id == satellite.satellite_id)
+        session.scalars(own.order_by(ConnectorRequest.asked_at.desc()).limit(1)).one().outcome = outcome
+        old = ConnectorRequest.asked_at < utc_now() - KEEP_REQUESTS
+        for row in session.scalars(select(ConnectorRequest).where(old, mine)):
+            session.delete(row)
+
     def _stop(self, reason: str) -> None:
         why = f"{reason}; it is not asked again until you say so: magcal orbits start {self._name}"
-        with self._database.write() as session:
-            session.merge(ConnectorStop(source=self._name, reason=why[:500], stopped_at=utc_now()))
-            record_event(session, SYSTEM, "orbit_source.stop", self._name)
-            append(session, [_attention(self._name, why, is_raised=True)])
+        self._database.transact(lambda session: self._stopped(session, why))
         log.error("orbit_source_stopped", source=self._name, why=reason)
+
+    def _stopped(self, session: Session, why: str) -> None:
+        session.merge(ConnectorStop(source=self._name, reason=why[:500], stopped_at=utc_now()))
+        record_event(session, SYSTEM, "orbit_source.stop", self._name)
+        append(session, [_attention(self._name, why, is_raised=True)])
 
 
 def own_orbits(orbits: list[ParsedOrbit], satellite: Watched) -> list[ParsedOrbit]:

@@ -6,8 +6,8 @@ export const SIGNS = { act: "✕", watch: "◆", good: "●" };
 async function press(entry, button, again) {
   button.disabled = true;
   try {
-    const made = await api(entry.action.path.replace("/api/v1", ""), { method: "POST", json: entry.action.body ?? {} });
-    const isJob = entry.action.path.endsWith("/jobs");
+    const made = await api(entry.action.path.replace("/api/v1", ""), { method: "POST", json: entry.action.body });
+    const isJob = /\/jobs(\/[^/]+\/retry)?$/.test(entry.action.path);
     notice(isJob ? `Queued as job ${short(made.id)}.` : `${entry.action.label}: done.`, "accept");
   } catch (problem) {
     notice(problem.message, "refuse");

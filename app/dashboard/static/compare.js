@@ -3,6 +3,7 @@ import { api, grade, h, nt, section, short, show, start, time, title } from "./m
 import { differenceTable } from "./parameters.js";
 import { plot } from "./plot.js";
 
+const WORDS = { same: ["accept", "● Same"], differs: ["refuse", "✕ Differs"], cannot_tell: ["weak", "◆ Cannot tell"] };
 const query = new URLSearchParams(location.search);
 
 function head(record, heading) {
@@ -11,15 +12,23 @@ function head(record, heading) {
     h("p", { class: "muted" }, `${record.method} · ${time(record.data_from)} · residual ${nt(record.statistics.after.rms_nt)}, cross-validated ${nt(record.statistics.cross_validated_rms_nt)}`));
 }
 
+// The word first; why, and what differs most, behind it.
+function verdict({ word, text }) {
+  const [grade, said] = WORDS[word];
+  return h("section", { class: `verdict ${grade}`, "aria-label": "Comparison" }, h("div", { class: "word" }, said),
+    h("p", {}, text.replace(/^(Same|Differs|Cannot tell): /, "")));
+}
+
 start(async () => {
   title("Compare");
   if (!query.get("first") || !query.get("second")) {
     show(h("h1", {}, "Compare parameter sets"), h("p", {}, "Choose the two on the page of a parameter set."));
     return;
   }
-  const [first, second] = await Promise.all([query.get("first"), query.get("second")].map((id) => api(`/parameter-sets/${id}`)));
+  const [first, second, compared] = await Promise.all([...[query.get("first"), query.get("second")].map((id) => api(`/parameter-sets/${id}`)),
+    api(`/parameter-sets/${query.get("second")}/comparison?other=${query.get("first")}`)]);
   const address = `/figures/compare?first=${first.id}&second=${second.id}`;
-  show(h("h1", {}, "Compare parameter sets"), h("div", { class: "pair" }, head(first, "First:"), head(second, "Second:")),
+  show(h("h1", {}, "Compare parameter sets"), verdict(compared), h("div", { class: "pair" }, head(first, "First:"), head(second, "Second:")),
     section("Parameters", differenceTable(first, second, ["first", "second", "second − first"])),
     plot(address, "Differences in combined standard errors", "Beyond the dotted lines, at three, the two do not agree within their honest errors.", 300));
 });

@@ -20,8 +20,7 @@ export async function cancel(job) {
 
 // The same request again; the new job is a job of its own.
 export async function retry(job) {
-  const { options } = job;
-  return api("/jobs", { method: "POST", json: { ...options, kind: job.kind, session_ids: job.session_ids } });
+  return api(`/jobs/${job.id}/retry`, { method: "POST" });
 }
 
 export function follow(job, ended) {

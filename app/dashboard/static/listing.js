@@ -62,9 +62,29 @@ export function listing(path, columns, { caption, file, facets = [], empty, sort
     if (!answer || mine !== number) return;
     changed(answer);
     const text = JSON.stringify(answer);
-    if (text === drawn || body.querySelector("details[open]")) return;
+    if (text === drawn) return;
     drawn = text;
+    const before = held();
     draw(answer);
+    restore(before);
+  }
+
+  // What a reader has open or has the focus on, by row: it is so again once the rows are drawn anew.
+  const keyOf = (row) => columns.slice(0, 2).map((column) => column.value(row)).join(" ");
+  const inside = (line) => [...line.querySelectorAll("a[href], button, summary, input, select")];
+
+  function held() {
+    const open = new Set([...body.rows].filter((line) => line.querySelector("details[open]")).map((line) => line.dataset.key));
+    const line = document.activeElement?.closest?.("tr");
+    const isOurs = line && body.contains(line);
+    return { open, key: isOurs ? line.dataset.key : null, at: isOurs ? inside(line).indexOf(document.activeElement) : -1 };
+  }
+
+  function restore({ open, key, at }) {
+    for (const line of body.rows) {
+      if (open.has(line.dataset.key)) line.querySelector("details")?.setAttribute("open", "");
+      if (key !== null && line.dataset.key === key) inside(line)[at]?.focus();
+    }
   }
 
   function cellOf(row, column) {
@@ -82,7 +102,7 @@ export function listing(path, columns, { caption, file, facets = [], empty, sort
           type: "button", class: `chip ${value}`, "aria-pressed": String(state[facet.name] === value),
           onclick: () => set({ [facet.name]: state[facet.name] === value ? null : value, limit: null }) }, word(value))));
     }));
-    body.replaceChildren(...answer.items.map((row) => h("tr", { class: look(row) || null }, columns.map((column) => cellOf(row, column)))));
+    body.replaceChildren(...answer.items.map((row) => h("tr", { class: look(row) || null, "data-key": keyOf(row) }, columns.map((column) => cellOf(row, column)))));
     const left = answer.total - answer.items.length;
     count.textContent = answer.total ? `${fixed(answer.items.length, 0)} of ${fixed(answer.total, 0)}` : empty;
     more.hidden = left <= 0 || Number(state.limit ?? 0) >= STEPS.at(-1);

@@ -4,12 +4,14 @@ import { lines } from "./attention.js";
 import { follow } from "./job.js";
 import { notes } from "./notes.js";
 import { plot } from "./plot.js";
+import { previewOf } from "./preview.js";
 import { table } from "./table.js";
 
 const id = location.pathname.split("/")[2];
 
 function calibrate(session) {
   const progress = h("div", { "aria-live": "polite" });
+  const preview = previewOf(id);
   const keeping = session.columns.filter((name) => !/^(time|[bq][wxyz]|ref_.*|[xyz]_km)$/.test(name));
   const node = form([
     field("method", "Method", {}, [option("scalar", "scalar (|B| only)"), option("vector", "vector (attitude)"),
@@ -29,7 +31,8 @@ function calibrate(session) {
       if (ended.state === "succeeded") location.href = `/parameter-sets/${ended.result.parameter_set_id}`;
     }));
   });
-  return [node, progress];
+  preview.follow(node);
+  return [node, preview.node, progress];
 }
 
 // What the session says of the set in force, its reasons behind it.

@@ -14,20 +14,17 @@ from datetime import datetime
 from functools import lru_cache
 from typing import Final
 
-from sqlalchemy import ColumnElement, Select, Update, and_, bindparam, case, or_, select, update
+from sqlalchemy import ColumnElement, Select, Update, and_, bindparam, or_, select, update
 from sqlalchemy.orm import Session
 
 from app.errors import ServiceError
-from app.jobs.endings import tell_ended
+from app.jobs import transitions
 from app.jobs.kinds.contract import Claim
-from app.jobs.reprocessing import settle
-from app.jobs.tables import Job
+from app.jobs.transitions import CANCELLED, FAILED, JOBS, QUEUED, RUNNING, end_lost
 from app.problems import Problem, problem
-from app.storage.database import DatabaseNow, JsonColumn
+from app.storage.database import DatabaseNow
 
 DEAD: Final = "dead"
-JOBS: Final = Job.metadata.tables["job"]
-"""Without the mapper, which costs more than what the statements of an attempt do."""
 MISSED_S: Final = 0.5
 """A heartbeat may come so much late."""
 
@@ -64,7 +61,7 @@ class Sightings:
         """Return the condition that tells the jobs whose worker is lost, None where there are none."""
         job = JOBS.c
         leases = select(job.id, job.attempts, job.lease_until, job.lease_until < DatabaseNow())
-        rows = session.execute(leases.where(job.state == "running", job.lease_until.is_not(None))).all()
+        rows = session.execute(leases.where(job.state == RUNNING, job.lease_until.is_not(None))).all()
         now_s = time.monotonic()
         with self._lock:
             before, self._seen, lost = self._seen, {}, []
@@ -74,12 +71,12 @@ class Sightings:
                 self._seen[job_id, attempt] = until, since_s
                 if now_s - since_s > (self._shortest_s if is_over else self._longest_s):
                     lost.append(job_id)
-        return and_(job.state == "running", job.id.in_(lost)) if lost else None
+        return and_(job.state == RUNNING, job.id.in_(lost)) if lost else None
 
 
 def is_work_waiting(session: Session, lapsed: ColumnElement[bool] | None) -> bool:
     """Return whether a job waits or has lost its worker; a look that takes no lock."""
-    waits = select(JOBS.c.id).where(JOBS.c.state == "queued").limit(1)
+    waits = select(JOBS.c.id).where(JOBS.c.state == QUEUED).limit(1)
     return lapsed is not None or session.execute(waits).first() is not None
 
 
@@ -91,9 +88,9 @@ def claim_next(
         return _claim(session, _claiming_first(lease_s), worker)
     bury_lost(session, most_lost, lapsed)
     job = JOBS.c
-    held = select(job.lock).where(job.state == "running", ~lapsed, job.lock.is_not(None))
-    for state in (lapsed, job.state == "queued"):
-        claim = _claim(session, _claiming(_first(state, held), lease_s), worker)
+    held = select(job.lock).where(job.state == RUNNING, ~lapsed, job.lock.is_not(None))
+    for begin, which in ((RUNNING, lapsed), (QUEUED, job.state == QUEUED)):
+        claim = _claim(session, _claiming(begin, _first(which, held), lease_s), worker)
         if claim is not None:
             return claim
     return None
@@ -104,13 +101,13 @@ def claim_one(session: Session, job_id: str, worker: str, lease_s: float, most_l
     claim = _claim(session, _claiming_one(lease_s), worker, job_id)
     if claim is None:
         bury_lost(session, most_lost, lapsed_by_clock())
-        claim = _claim(session, _claiming(and_(JOBS.c.id == job_id, lapsed_by_clock()), lease_s), worker)
+        claim = _claim(session, _claiming(RUNNING, and_(JOBS.c.id == job_id, lapsed_by_clock()), lease_s), worker)
     return claim
 
 
 def lapsed_by_clock() -> ColumnElement[bool]:
     """Return the condition that tells jobs whose lease is over by the clock of the database."""
-    return and_(JOBS.c.state == "running", JOBS.c.lease_until < DatabaseNow())
+    return and_(JOBS.c.state == RUNNING, JOBS.c.lease_until < DatabaseNow())
 
 
 def _claim(session: Session, statement: Update, worker: str, job_id: str | None = None) -> Claim | None:
@@ -119,33 +116,24 @@ def _claim(session: Session, statement: Update, worker: str, job_id: str | None 
     return None if row is None else Claim(*row)
 
 
-def _claiming(which: ColumnElement[bool], lease_s: float) -> Update:
-    """Return the statement by which a worker takes the job ``which``."""
+def _claiming(begin: str, which: ColumnElement[bool], lease_s: float) -> Update:
+    """Return the statement by which a worker takes the job ``which`` that is in state ``begin``."""
     job = JOBS.c
-    claimed = update(JOBS).values(
-        state="running",
-        attempts=job.attempts + 1,
-        lost_attempts=job.lost_attempts + case((job.state == "running", 1), else_=0),
-        lease_until=DatabaseNow(lease_s),
-        started_at=DatabaseNow(),
-        worker=bindparam("by_worker"),
-        progress=0.0,
-    )
-    return claimed.where(which).returning(
+    return transitions.claiming(begin, which, lease_s).returning(
         job.id, job.attempts, job.kind, job.lost_attempts, job.satellite_id, job.magnetometer_id, job.request
     )
 
 
 @lru_cache
 def _claiming_one(lease_s: float) -> Update:
-    return _claiming(and_(JOBS.c.id == bindparam("of_job"), JOBS.c.state == "queued"), lease_s)
+    return _claiming(QUEUED, JOBS.c.id == bindparam("of_job"), lease_s)
 
 
 @lru_cache
 def _claiming_first(lease_s: float) -> Update:
     job = JOBS.c
-    held = select(job.lock).where(job.state == "running", job.lock.is_not(None))
-    return _claiming(_first(job.state == "queued", held), lease_s)
+    held = select(job.lock).where(job.state == RUNNING, job.lock.is_not(None))
+    return _claiming(QUEUED, _first(job.state == QUEUED, held), lease_s)
 
 
 def _first(state: ColumnElement[bool], held: Select[tuple[str | None]]) -> ColumnElement[bool]:
@@ -157,9 +145,9 @@ def _first(state: ColumnElement[bool], held: Select[tuple[str | None]]) -> Colum
 
 def bury_lost(session: Session, most_lost: int, lapsed: ColumnElement[bool]) -> int:
     """Return how many ``lapsed`` jobs end here: those that lost their last worker, or were being cancelled."""
-    cancelled = _end(session, and_(lapsed, JOBS.c.cancel_requested), "cancelled", None)
+    cancelled = end_lost(session, and_(lapsed, JOBS.c.cancel_requested), CANCELLED, None)
     why = problem(500, DEAD, f"the job lost its worker {most_lost} times; the last attempt gave no sign of life")
-    dead = _end(session, and_(lapsed, JOBS.c.lost_attempts + 1 >= most_lost), "failed", why)
+    dead = end_lost(session, and_(lapsed, JOBS.c.lost_attempts + 1 >= most_lost), FAILED, why)
     return cancelled + dead
 
 
@@ -207,13 +195,8 @@ def finish(
     LostClaimError
         The claim no longer holds; the transaction must not be committed.
     """
-    held = {"of_job": claim.job_id, "of_attempt": claim.attempt}
-    ended = session.execute(FINISH, held | {"to_state": state, "why": error, "found": result}).first()
-    if ended is None:
+    if not transitions.finish(session, claim.job_id, claim.attempt, state, error=error, result=result):
         raise LostClaimError(f"attempt {claim.attempt} no longer holds job {claim.job_id}")
-    tell_ended(session, [claim.job_id])
-    if ended.parent_id is not None:
-        settle(session, ended.parent_id)
 
 
 def hand_back(session: Session, claim: Claim, *, is_lost: bool) -> None:
@@ -224,47 +207,10 @@ def hand_back(session: Session, claim: Claim, *, is_lost: bool) -> None:
     LostClaimError
         The claim no longer holds: the job is another attempt's, or has ended, and must not be handed out again.
     """
-    handed_back = (
-        update(JOBS)
-        .where(_holds(claim))
-        .values(state="queued", lease_until=None, worker=None, lost_attempts=JOBS.c.lost_attempts + int(is_lost))
-        .returning(JOBS.c.id)
-    )
-    if session.execute(handed_back).first() is None:
+    if not transitions.hand_back(session, _holds(claim), is_lost=is_lost):
         raise LostClaimError(f"attempt {claim.attempt} no longer holds job {claim.job_id}")
 
 
 def _holds(claim: Claim) -> ColumnElement[bool]:
     job = JOBS.c
-    return and_(job.id == claim.job_id, job.attempts == claim.attempt, job.state == "running")
-
-
-def _end(session: Session, which: ColumnElement[bool], state: str, error: Problem | None) -> int:
-    ended = session.execute(
-        _ending(which).values(state=state, error=error).returning(JOBS.c.id, JOBS.c.parent_id)
-    ).all()
-    tell_ended(session, [job_id for job_id, _ in ended])
-    parents = {str(parent_id) for _, parent_id in ended if parent_id is not None}
-    for parent_id in sorted(parents):  # one order, lest two lock crosswise
-        settle(session, parent_id)
-    return len(ended)
-
-
-def _ending(which: ColumnElement[bool]) -> Update:
-    return update(JOBS).where(which).values(lease_until=None, finished_at=DatabaseNow())
-
-
-_HELD: Final = and_(
-    JOBS.c.id == bindparam("of_job"), JOBS.c.attempts == bindparam("of_attempt"), JOBS.c.state == "running"
-)
-FINISH: Final = (
-    _ending(_HELD)
-    .values(
-        state=bindparam("to_state"),
-        error=bindparam("why", type_=JsonColumn),
-        result=bindparam("found", type_=JsonColumn),
-        progress=case((bindparam("to_state") == "succeeded", 1.0), else_=JOBS.c.progress),
-    )
-    .returning(JOBS.c.parent_id)
-)
-"""Made once: to make it costs more than to execute it."""
+    return and_(job.id == claim.job_id, job.attempts == claim.attempt, job.state == RUNNING)

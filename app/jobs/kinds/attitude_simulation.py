@@ -11,7 +11,7 @@ from pydantic import AliasChoices, Field, JsonValue
 from sqlalchemy.orm import Session
 
 from app.access.caller import Caller
-from app.http.schemas import Identifier, Slug
+from app.http.schemas import Identifier, OneOf, Slug
 from app.jobs.kinds.contract import Admission, Claim, Outcome, Report, WrongKindError
 from app.jobs.kinds.result_series import keep_series
 from app.jobs.schemas import JobBody
@@ -20,8 +20,10 @@ from app.orbits.repository import OrbitRepository
 from app.orbits.schemas import OrbitQuery
 from app.parameter_sets.repository import ParameterSetRepository
 from app.records.arrow import to_bytes
+from app.records.calibration_options import FieldName
 from app.satellites.repository import SatelliteRepository
 from app.storage.store import Store
+from magcal_core.attitude.option_values import CHOICES
 from magcal_core.errors import OptionError
 
 SENSORS: Final = ("sensor", "corrected_with")
@@ -39,16 +41,16 @@ class AttitudeBody(JobBody):
     u0_deg: float | None = None
     raan_deg: float | None = None
     epoch: str | None = Field(None, max_length=64)
-    field: str | None = Field(None, max_length=32)
-    onboard_field: str | None = Field(None, max_length=32)
+    field: FieldName | None = None
+    onboard_field: FieldName | None = None
     start_deg: Triple | None = Field(None, validation_alias=AliasChoices("start", "start_deg"))
-    start_rate: Literal["inertial", "orbital", "body"] | None = None
+    start_rate: Annotated[str, OneOf(CHOICES["start_rate"])] | None = None
     turn_deg: Triple | None = Field(None, validation_alias=AliasChoices("turn", "turn_deg"))
     ramp_s: float | None = None
     kp_nm: float | None = Field(None, validation_alias=AliasChoices("kp", "kp_nm"))
     kd_nms: float | None = Field(None, validation_alias=AliasChoices("kd", "kd_nms"))
     use_proposed_gains: bool | None = Field(None, validation_alias=AliasChoices("propose_gains", "use_proposed_gains"))
-    form: Literal["corrected", "printed"] | None = None
+    form: Annotated[str, OneOf(CHOICES["form"])] | None = None
     guard: bool | None = None
     feed_forward: bool | None = None
     inertia_kg_m2: list[float] | None = Field(

@@ -76,8 +76,7 @@ class CalibrationKind:
         places = {(row.satellite_id, row.magnetometer_id) for row in rows}
         if len(places) != 1:
             raise OptionError("the sessions are not of one magnetometer")
-        if any(row.raw_removed_at is not None for row in rows):
-            raise ExpiredError("the telemetry of a session is past its satellite's retention and has been removed")
+        _require_telemetry(rows)
         if not all(row.samples for row in rows):
             raise ConflictError("a session has no samples yet")
         satellite_id, magnetometer_id = places.pop()
@@ -93,9 +92,10 @@ class CalibrationKind:
         return Admission(options, satellite_id, magnetometer_id, session_ids, lock)
 
     def check(self, session: Session, admission: Admission) -> None:
-        """Raise where a session needs an orbit, or its field an index or a file, and none may serve it."""
+        """Raise where telemetry has been removed, or an orbit, index or file is needed and none may serve."""
         check_field(session, admission.request)
-        limit_days = _limit_days(admission.request)
+        _require_telemetry([session.get_one(TelemetrySession, one) for one in admission.session_ids])
+        most_days = limit_days(admission.request)
         orbits = OrbitRepository(session, SYSTEM, str(admission.satellite_id))
         for session_id in admission.session_ids:
             row = session.get_one(TelemetrySession, session_id)
@@ -105,7 +105,7 @@ class CalibrationKind:
             if best is None:
                 raise OrbitMissingError("the telemetry has no reference and no position, and the satellite no orbit")
             try:
-                _check_age(best, row.data_from, row.data_until, limit_days)
+                _check_age(best, row.data_from, row.data_until, most_days)
             except TleEpochError as error:
                 other_form = on_distance(core_times([row.data_from])[0], spans_of(orbits.instants()))
                 raise TleEpochError(error.message + other_form) from error
@@ -119,7 +119,7 @@ class CalibrationKind:
         begin = min(row.data_from for row in rows if row.data_from is not None)
         end = max(row.data_until for row in rows if row.data_until is not None)
         orbits = OrbitRepository(session, SYSTEM, str(claim.satellite_id))
-        near = orbits.around(begin, end, _limit_days(claim.request))
+        near = orbits.around(begin, end, limit_days(claim.request))
         satellite = SatelliteRepository(session, SYSTEM).get(str(claim.satellite_id))
         others = {row.id: other for row in near if (other := difference(satellite, row.details)) is not None}
         options = as_options(claim.request)
@@ -181,14 +181,20 @@ def _candidates(request: Mapping[str, object]) -> list[str]:
     return [str(one) for one in named] if isinstance(named, list) else []
 
 
-def _limit_days(options: Mapping[str, object]) -> float:
+def _require_telemetry(rows: Sequence[TelemetrySession]) -> None:
+    if any(row.raw_removed_at is not None for row in rows):
+        raise ExpiredError("the telemetry of a session is past its satellite's retention and has been removed")
+
+
+def limit_days(options: Mapping[str, object]) -> float:
+    """Return how far an orbit may be from the data, days."""
     limit = options.get("max_orbit_age_days")
     return float(limit) if isinstance(limit, int | float) else DEFAULT_AGE_DAYS
 
 
-def _check_age(row: OrbitRow, begin: datetime, end: datetime, limit_days: float) -> None:
+def _check_age(row: OrbitRow, begin: datetime, end: datetime, most_days: float) -> None:
     if row.until is not None and row.epoch <= end and row.until >= begin:
         return
     age = max(begin - row.epoch, row.epoch - end, timedelta(0)) / timedelta(days=1)
-    if age > limit_days:
-        raise TleEpochError(f"the orbit's epoch is {age:.1f} d from the telemetry; limit {limit_days:g} d")
+    if age > most_days:
+        raise TleEpochError(f"the orbit's epoch is {age:.1f} d from the telemetry; limit {most_days:g} d")

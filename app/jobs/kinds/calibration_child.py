@@ -15,12 +15,13 @@ from app.records.arrow import to_bytes
 from app.records.json_numbers import without_nan
 from app.records.residual_table import residual_table
 from app.sessions.repository import samples_of
+from magcal_core.calibration.estimators.registry import ESTIMATORS
 from magcal_core.calibration.result import Calibration
 from magcal_core.calibration.sessions.monitoring import ActiveSet
 from magcal_core.compile_kernels import calibrate_made_up_session
 from magcal_core.errors import EstimationError, InputError
 from magcal_core.field.sources import FieldSources
-from magcal_core.options import METHODS, CalibrationOptions
+from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
 from magcal_core.pipeline import calibrate as run
 from magcal_core.sessions import calibrate_jointly
@@ -105,6 +106,6 @@ def _name_strangers(record: dict[str, object], work: CalibrationWork) -> None:
 
 def warm(_work: object, _report: Report) -> Outcome:
     """Calibrate made-up sessions, so that a new child has everything loaded and compiled."""
-    for method in METHODS:
+    for method in ESTIMATORS:
         found = calibrate_made_up_session(method)
     return Outcome({}, _blobs(found))

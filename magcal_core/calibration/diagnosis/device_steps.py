@@ -14,7 +14,7 @@ from magcal_core.calibration.uncertainty.honest_covariance import student_95
 from magcal_core.errors import NotObservableError, OptionError
 from magcal_core.numerics.robust import robust_sigma, weights_and_slopes
 from magcal_core.observations import Observations, corrected_nt, residuals_nt
-from magcal_core.sensor.model import inverse_lower, matrix_of_parameters
+from magcal_core.sensor.model import inverse_lower
 from magcal_core.sensor.parameters import Parameters
 
 WINDOW_S: Final = 300.0
@@ -56,7 +56,7 @@ class DeviceStep:
 
     @property
     def text(self) -> str:
-        """The offset in words, as flight software may be told."""
+        """The offset in words, as flight software may be given."""
         parts = [f"{b:+.0f} +- {e:.0f}" for b, e in zip(self.offset_nt, self.standard_errors_nt, strict=True)]
         seen = "" if self.is_significant else ": not significant"
         return f"{self.device} adds ({', '.join(parts)}) nT a unit, from {self.transitions} jumps{seen}"
@@ -168,7 +168,7 @@ def _rows(o: Observations, parameters: Parameters, device: str, *, is_vector: bo
     """Return how a unit offset (of each axis) moves each residual, shape (n, m, 3), and the residuals, shape (n, m)."""
     others = {name: slope for name, slope in parameters.regressors.items() if name != device}
     bare = Parameters(parameters.bias_nt, parameters.scale, parameters.nonorthogonality_deg, None, others)
-    matrix = matrix_of_parameters(parameters.scale, np.deg2rad(parameters.nonorthogonality_deg))
+    matrix = parameters.matrix
     # The calibration's own estimate of the device stays in the bias it was made with: only jumps count here.
     if is_vector:
         r = residuals_nt(o, bare, is_vector=True)

@@ -21,13 +21,14 @@ from numpy.typing import NDArray
 from magcal_core.arrays import Floats
 from magcal_core.attitude.rotation import attitude_matrix, from_rotation_vector
 from magcal_core.calibration.uncertainty.honest_covariance import student_95
+from magcal_core.numerics.linear_algebra import unit_diagonal
 
 Ints = NDArray[np.intp]
 
 WINDOW_S: Final = 1200.0
 """Longest window: errors of the readings bias short ones, errors of the gyros long ones."""
 SLOW_WINDOW_S: Final = 3000.0
-"""Longest window of a satellite that turns slowly."""
+"""Longest window of a satellite that rotates slowly."""
 HAND_WINDOW_S: Final = 6000.0
 TURN_DEG: Final = 60.0
 LEAST_TURN_DEG: Final = 45.0
@@ -380,9 +381,9 @@ def _errors(windows: _Windows, state: _State, window_s: float) -> Floats:
     normals = np.stack([np.einsum("pni,qni->pq", j[:, part], j[:, part]) for part in parts])
     gradients = np.stack([np.einsum("pni,ni->p", j[:, part], r[part]) for part in parts])
     total, count = normals.sum(axis=0), len(parts)
-    size = np.sqrt(np.diag(total))
+    scaled, size = unit_diagonal(total)
     free = max(2 * int(np.count_nonzero(windows.session.weights > 0)) - 6 - 3 * count, 1)
-    formal = np.linalg.pinv(total / np.outer(size, size)) / np.outer(size, size) * float(np.sum(r**2)) / free
+    formal = np.linalg.pinv(scaled) / np.outer(size, size) * float(np.sum(r**2)) / free
     shifts = []
     for normal, gradient in zip(normals, gradients, strict=True):
         rest = (total - normal) / np.outer(size, size)

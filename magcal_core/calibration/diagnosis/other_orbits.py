@@ -32,7 +32,7 @@ _AT_ONCE: Final = 1024
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class OrbitCandidate:
     """Another reference: what kind it is, its figures, s and deg, its name, and how well it explains the rows."""
 
     kind: str
@@ -66,7 +66,7 @@ class Track:
         return lengths(np.ascontiguousarray(model.field_itrf_nt(flat, r_km))).reshape(times.shape)
 
 
-def other_clocks(rows: Rows, track: Track) -> list[Candidate]:
+def other_clocks(rows: Rows, track: Track) -> list[OrbitCandidate]:
     """Return the clocks, within a day, that explain the rows best: one grid of |B|, interpolated by four points."""
     seconds = (track.t_utc - track.t_utc[0]) / np.timedelta64(1, "ns") * 1e-9
     first, last = -DAY_S - 2 * _GRID_S, float(seconds[-1]) + DAY_S + 3 * _GRID_S
@@ -93,11 +93,11 @@ def other_clocks(rows: Rows, track: Track) -> list[Candidate]:
     for offset_s in _minima(offsets_s, scores):
         best_s = _refined(rows, field_nt, offset_s, _GRID_S, 0.3)
         exact_nt = track.field_nt(np.array([best_s]))[0]
-        found.append(Candidate("clock", best_s, 0.0, "", rows.explanation(exact_nt)))
+        found.append(OrbitCandidate("clock", best_s, 0.0, "", rows.explanation(exact_nt)))
     return found
 
 
-def along_the_track(rows: Rows, track: Track, period_s: float) -> list[Candidate]:
+def along_the_track(rows: Rows, track: Track, period_s: float) -> list[OrbitCandidate]:
     """Return the places along the track, half a period each way, with the Earth turned back under them."""
 
     def field_nt(offset_s: Floats) -> Floats:
@@ -108,11 +108,11 @@ def along_the_track(rows: Rows, track: Track, period_s: float) -> list[Candidate
     found = []
     for offset_s in _minima(offsets_s, scores, most=3):
         best_s = _refined(rows, field_nt, offset_s, _ALONG_S, 1.0)
-        found.append(Candidate("along_track", best_s, 0.0, "", rows.explanation(field_nt(np.array([best_s]))[0])))
+        found.append(OrbitCandidate("along_track", best_s, 0.0, "", rows.explanation(field_nt(np.array([best_s]))[0])))
     return found
 
 
-def other_planes(rows: Rows, track: Track, period_s: float, coarse: FieldModel) -> list[Candidate]:
+def other_planes(rows: Rows, track: Track, period_s: float, coarse: FieldModel) -> list[OrbitCandidate]:
     """Return the planes and places in them that explain the rows best; ``coarse``: a field of low degree."""
     offsets_s, nodes = np.meshgrid(
         np.arange(-period_s / 2.0, period_s / 2.0, _ALONG_S), np.arange(-180.0, 180.0, _NODE_DEG), indexing="ij"
@@ -140,7 +140,7 @@ def _turn(offset_s: Floats, node_deg: Floats) -> Floats:
     return EARTH_RAD_S * offset_s + np.deg2rad(node_deg)
 
 
-def _refined_plane(rows: Rows, track: Track, offset_s: float, node_deg: float) -> Candidate:
+def _refined_plane(rows: Rows, track: Track, offset_s: float, node_deg: float) -> OrbitCandidate:
     step_s, step_deg = _ALONG_S, _NODE_DEG
     ways = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)], dtype=np.float64)
     while step_s > 0.5:
@@ -150,10 +150,12 @@ def _refined_plane(rows: Rows, track: Track, offset_s: float, node_deg: float) -
             step_s, step_deg = step_s / 2.0, step_deg / 2.0
         offset_s, node_deg = float(tried_s[best]), float(tried_deg[best])
     here = np.array([offset_s]), _turn(np.array([offset_s]), np.array([node_deg]))
-    return Candidate("orbit_plane", offset_s, node_deg, "", rows.explanation(track.field_nt(*here)[0]))
+    return OrbitCandidate("orbit_plane", offset_s, node_deg, "", rows.explanation(track.field_nt(*here)[0]))
 
 
-def other_objects(rows: Rows, t_utc: Times, field: FieldModel, named: Sequence[tuple[str, Orbit]]) -> list[Candidate]:
+def other_objects(
+    rows: Rows, t_utc: Times, field: FieldModel, named: Sequence[tuple[str, Orbit]]
+) -> list[OrbitCandidate]:
     """Return how well the orbits of other objects explain the rows; those that do not reach so far are passed over."""
     found = []
     for name, orbit in named:
@@ -161,7 +163,7 @@ def other_objects(rows: Rows, t_utc: Times, field: FieldModel, named: Sequence[t
             b_nt = Track(orbit, t_utc, field).field_nt(np.zeros(1))[0]
         except MagcalError:
             continue
-        found.append(Candidate("wrong_satellite", 0.0, 0.0, name, rows.explanation(b_nt)))
+        found.append(OrbitCandidate("wrong_satellite", 0.0, 0.0, name, rows.explanation(b_nt)))
     return found
 
 

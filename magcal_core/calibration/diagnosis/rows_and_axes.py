@@ -31,7 +31,7 @@ def constant_sensor(samples: Samples, h_nt: Floats, b_nt: Floats, duration_s: fl
     """Return that the whole sensor is constant: most rows stuck, or no axis that moves; None where it is not."""
     stuck = float(np.mean((samples.flags & np.uint16(_STUCK)) != 0))
     if stuck >= STUCK_SHARE:
-        text = f"the sensor is constant: {stuck:.0%} of the rows are stuck, zero or repeated; is it on, and read anew?"
+        text = f"the sensor is constant: {stuck:.0%} of the rows are stuck, zero or repeated; is it on and read out?"
         return Finding("sensor_constant", text, stuck, "share", stuck / STUCK_SHARE)
     if not len(h_nt):
         return None
@@ -43,7 +43,7 @@ def constant_sensor(samples: Samples, h_nt: Floats, b_nt: Floats, duration_s: fl
     # In a short pass without motion any sensor is constant: that is a matter of motion.
     if share >= STILL_SHARE or (duration_s < SHORT_S and spread_of(b_nt) < STILL_SHARE * field_nt):
         return None
-    text = f"the sensor is constant: no axis varies by more than {share:.2g} of the field; is it on, and read anew?"
+    text = f"the sensor is constant: no axis varies by more than {share:.2g} of the field; is it on and read out?"
     return Finding("sensor_constant", text, share, "share of the field", STILL_SHARE / max(share, 1e-9))
 
 

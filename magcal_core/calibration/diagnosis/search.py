@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from magcal_core.calibration.diagnosis.cause import Diagnosis, Finding, Named, Tried
 from magcal_core.calibration.diagnosis.explanation import BETTER, EXPLAINED, Explanation, Rows
 from magcal_core.calibration.diagnosis.other_orbits import (
-    Candidate,
+    OrbitCandidate,
     Track,
     along_the_track,
     other_clocks,
@@ -96,7 +96,7 @@ def _behind(given: Circumstances, rows: Rows, own: Explanation, t_utc: NDArray[n
     return Diagnosis(*figures, (found,), tried)
 
 
-def _candidates(given: Circumstances, rows: Rows, t_utc: NDArray[np.datetime64]) -> list[Candidate]:
+def _candidates(given: Circumstances, rows: Rows, t_utc: NDArray[np.datetime64]) -> list[OrbitCandidate]:
     """Return the best of every scan; an orbit that does not reach so far is not scanned so far."""
     found = other_objects(rows, t_utc, given.field, given.others)
     if given.orbit is None:
@@ -128,13 +128,13 @@ def period_of(orbit: Orbit, at: np.datetime64) -> float:
     return float(2.0 * np.pi * np.sqrt(axis_km**3 / 398600.4418))
 
 
-def _best_of_each(candidates: Sequence[Candidate]) -> list[Candidate]:
+def _best_of_each(candidates: Sequence[OrbitCandidate]) -> list[OrbitCandidate]:
     kinds = dict.fromkeys(one.kind for one in candidates)
     of_each = [[one for one in candidates if one.kind == kind and np.isfinite(one.explanation.scale)] for kind in kinds]
     return [min(some, key=lambda one: one.explanation.capped) for some in of_each if some]
 
 
-def _finding(explaining: Sequence[Candidate], own: Explanation) -> Finding:
+def _finding(explaining: Sequence[OrbitCandidate], own: Explanation) -> Finding:
     """Return the cause that goes first among those that explain the rows about as well as the best one."""
     least = min(one.explanation.capped for one in explaining)
     near = [one for one in explaining if one.explanation.capped <= BETTER * least]
@@ -153,7 +153,7 @@ def _is_zone(offset_s: float) -> bool:
     return quarters != 0 and is_near and abs(offset_s) <= _FARTHEST_ZONE_S + _ZONE_S
 
 
-def _rank(one: Candidate) -> int:
+def _rank(one: OrbitCandidate) -> int:
     if one.kind == "wrong_satellite":
         return 0
     if one.kind == "clock":
@@ -161,7 +161,7 @@ def _rank(one: Candidate) -> int:
     return {"along_track": 3, "orbit_plane": 5}[one.kind]
 
 
-def _text(one: Candidate) -> str:
+def _text(one: OrbitCandidate) -> str:
     if one.kind == "wrong_satellite":
         return f"the orbit of {one.name} explains the readings: give that TLE"
     if one.kind == "clock" and _is_zone(one.offset_s):

@@ -42,6 +42,7 @@ class ClosedFormFit:
     name: str = "vector-closed-form"
     is_vector: bool = True
     takes_regressors: bool = False
+    has_moments: bool = False
 
     def fit(self, observations: Observations, settings: FitSettings) -> Fit:
         """Return the estimate and the candidates.
@@ -113,7 +114,7 @@ class ClosedFormFit:
 def _same_rows(near: Fit, observations: Observations) -> Floats | None:
     """Return the weights that ``near`` gave the rows of ``observations`` that are still there.
 
-    None where nothing was put aside, or where the rows are others.
+    None where nothing was rejected, or where the rows are others.
     """
     if len(near.weights) != len(observations) or near.weights.all():
         return None

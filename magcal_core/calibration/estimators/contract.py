@@ -119,6 +119,11 @@ class Estimator(Protocol):
         """Whether the method can fit regressors and a clock offset."""
         ...
 
+    @property
+    def has_moments(self) -> bool:
+        """Whether its fit is the minimum of squares that refits from stored moments start at."""
+        ...
+
     def fit(self, observations: Observations, settings: FitSettings) -> Fit:
         """Return the estimate.
 

@@ -117,6 +117,7 @@ class HookeJeevesFit:
     name: str = "scalar-hooke-jeeves"
     is_vector: bool = False
     takes_regressors: bool = False
+    has_moments: bool = True
 
     def fit(self, observations: Observations, settings: FitSettings) -> Fit:
         """Return the estimate.
@@ -163,7 +164,7 @@ class HookeJeevesFit:
 
 
 def _search(observations: Observations, settings: FitSettings, sigma: float) -> tuple[Floats, int, bool]:
-    """Return the first-order parameters at the minimum; the search starts anew while that still gains."""
+    """Return the first-order parameters at the minimum; the search restarts while that still gains."""
     h, b, w = observations.h_nt, observations.b_nt, observations.weights
     starts = [_first_order(theta) for theta in closed_form_starts(h, b, w)]
     if settings.start is not None:

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.contract import Fit
 from magcal_core.numerics.linear_algebra import scaled_inverse
-from magcal_core.observations import Observations
-from magcal_core.sensor.correction import readings_without
-from magcal_core.sensor.model import inverse_lower, lower_triangular_gauge, matrix_of_parameters
+from magcal_core.observations import Observations, corrected_nt
+from magcal_core.sensor.correction import correct, readings_without
+from magcal_core.sensor.model import inverse_lower, lower_triangular_gauge
 from magcal_core.sensor.parameterisation import Standardised, parameters_from_rows, rows_jacobian
 from magcal_core.sensor.parameters import Parameters
 from magcal_core.sensor.regressors import is_of_scale
@@ -288,7 +288,7 @@ def _sigma_nt(weighed_nt: Floats, freedom: int, floor_nt: float) -> float:
 
 
 def _matrix(parameters: Parameters) -> Floats:
-    return matrix_of_parameters(parameters.scale, np.deg2rad(parameters.nonorthogonality_deg))
+    return parameters.matrix
 
 
 def _regressors(o: Observations, fit: Fit) -> tuple[Standardised, tuple[tuple[str, float], ...], int]:
@@ -333,15 +333,13 @@ def _scalar_channels(o: Observations, fit: Fit, here: tuple[Floats, Parameters],
 
 def _corrected(o: Observations, matrix: Floats, parameters: Parameters) -> Floats:
     reading = readings_without(o.regressors, o.h_nt, parameters)
-    return np.asarray((reading - parameters.bias_nt) @ inverse_lower(matrix).T)
+    return correct(reading, parameters.bias_nt, inverse_lower(matrix))
 
 
 def _vector_channels(o: Observations, fit: Fit, here: tuple[Floats, Parameters], unknowns: Unknowns) -> list[Channel]:
     """Return h - T B - b of each axis with its derivatives; T and b are those of ``here``."""
     matrix, parameters = here
-    own = _matrix(fit.parameters)
-    reading = readings_without(o.regressors, o.h_nt, fit.parameters)
-    field_nt = (reading - fit.parameters.bias_nt) @ inverse_lower(own).T - fit.residuals_nt
+    field_nt = corrected_nt(o, fit.parameters) - fit.residuals_nt
     left = readings_without(o.regressors, o.h_nt, parameters) - parameters.bias_nt - field_nt @ matrix.T
     first, k, n = unknowns.bias.stop, len(unknowns.drifts.names), len(o)
     rates = np.zeros((n, unknowns.clocks, 3)) if o.rate_base_nt_s is None else o.rate_base_nt_s

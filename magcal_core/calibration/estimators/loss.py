@@ -108,7 +108,7 @@ def start_of(observations: Observations, *, is_vector: bool) -> RobustStart | No
 
 
 def is_clean(estimator: Estimator, observations: Observations, plain: Fit) -> bool:
-    """Return whether the plain fit leaves no row that a loss would put aside, and determines the sensor.
+    """Return whether the plain fit leaves no row that a loss would reject, and determines the sensor.
 
     Scale below 1 % of median |B|, every residual within six scales, and, of |B| alone, observable by both indices. A
     turned reference makes residuals that no row is to blame for: of vectors, those of T with all nine elements count

@@ -14,7 +14,6 @@ from magcal_core.errors import OptionError
 from magcal_core.numerics.blocks import BlockScores, block_moments, block_starts
 from magcal_core.numerics.linear_algebra import scaled_inverse
 from magcal_core.observations import Observations
-from magcal_core.sensor.model import matrix_of_parameters
 from magcal_core.sensor.parameterisation import (
     Standardised,
     rows_from_theta,
@@ -132,7 +131,7 @@ def _of_vector(o: Observations, parameters: Parameters, starts: NDArray[np.intp]
     z, b_nt = _raw(o), o.require_vector()
     k = len(z.names)
     p, m = 9 + 3 * k, len(starts)
-    matrix = matrix_of_parameters(parameters.scale, np.deg2rad(parameters.nonorthogonality_deg))
+    matrix = parameters.matrix
     residual = b_nt @ matrix.T + parameters.bias_nt - o.h_nt
     for name, slope in parameters.regressors.items():
         residual = residual + o.regressors[name][:, None] * slope

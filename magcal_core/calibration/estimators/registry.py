@@ -21,3 +21,15 @@ ESTIMATORS: Final[Mapping[str, Estimator]] = MappingProxyType(
     }
 )
 """Calibration method -> its estimator."""
+STEP_METHODS: Final = tuple(name for name, one in ESTIMATORS.items() if one.takes_regressors and one.has_moments)
+"""Methods that can fit steps of the bias."""
+
+
+def is_vector_method(method: object) -> bool:
+    """Return whether ``method``, as a record names it, compares vectors; not one that is unknown."""
+    return method in ESTIMATORS and ESTIMATORS[str(method)].is_vector
+
+
+def has_moments(method: object) -> bool:
+    """Return whether a fit by ``method``, as a record names it, has moments; not one that is unknown."""
+    return method in ESTIMATORS and ESTIMATORS[str(method)].has_moments

@@ -21,6 +21,7 @@ from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.scalar_start import start_of_quadric
 from magcal_core.numerics.linear_algebra import solve_positive
 from magcal_core.numerics.vectors import lengths
+from magcal_core.sensor.correction import corrected_lengths
 from magcal_core.sensor.parameterisation import Standardised, parameters_from_rows, rows_from_theta
 from magcal_core.sensor.parameters import Parameters
 
@@ -125,7 +126,7 @@ def _sizes(rows: Floats, target: Floats, p: Floats, out: Floats) -> None:  # pra
 def _concentrate(  # noqa: PLR0917
     rows: Floats, target: Floats, p: Floats, count: int, size: Floats, keep: NDArray[np.bool_]
 ) -> float:  # pragma: no cover - compiled
-    """Keep the ``count`` rows of least residual, solve anew in ``p``, and return the trimmed root mean square there."""
+    """Keep the ``count`` rows of least residual, solve again in ``p``, and return their root mean square there."""
     limit = np.partition(size, count - 1)[count - 1]
     for i in range(size.size):
         keep[i] = size[i] <= limit
@@ -286,7 +287,7 @@ def _scalar_start_at(theta: Floats, h_nt: Floats, b_nt: Floats) -> RobustStart:
     matrix, bias_nt, slopes = rows_from_theta(theta, 0)
     lower = np.zeros((3, 3))
     lower[np.tril_indices(3)] = theta[:6]
-    r = lengths(np.ascontiguousarray((h_nt - bias_nt) @ lower.T)) - b_nt
+    r = corrected_lengths(h_nt, bias_nt, lower) - b_nt
     scale_nt = max(scale_of(r), 1e-9 * float(np.median(b_nt)))
     parameters = parameters_from_rows(matrix, bias_nt, slopes, _NONE)
     return RobustStart(parameters, scale_nt, (np.abs(r) <= _WITHIN * scale_nt).astype(np.float64))

@@ -121,6 +121,7 @@ class ScalarFit:
     name: str = "scalar"
     is_vector: bool = False
     takes_regressors: bool = True
+    has_moments: bool = True
 
     def fit(self, observations: Observations, settings: FitSettings) -> Fit:
         """Return the estimate.
@@ -275,7 +276,7 @@ def _scale(task: _Task, solution: _Solution, settings: FitSettings) -> tuple[flo
 
 
 def _iterated(task: _Task, solution: _Solution, settings: FitSettings, still: float) -> _Solution:
-    """Return the minimum under the solution's loss, with scale and noise estimated anew until they stand still."""
+    """Return the minimum under the solution's loss, with scale and noise re-estimated until they converge."""
     previous, is_white = np.inf, settings.noise_model == "white"
     for _ in range(_ROUNDS):
         scale, sigma = _scale(task, solution, settings)

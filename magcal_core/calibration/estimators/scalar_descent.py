@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt over the scalar kernel, compiled as one loop; `numerics.levenberg_marquardt` without its calls.
+"""The scalar kernel under `numerics.levenberg_marquardt`, compiled: its loop with no Python between the evaluations.
 
 Notes
 -----
@@ -16,14 +16,14 @@ from numba import njit
 from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.scalar_kernel import accumulate
 from magcal_core.numerics.levenberg_marquardt import (
-    DAMPING_LIMIT,
-    DAMPING_START,
-    LEAST_SHRINKING,
+    ACCEPTED,
+    FOUND,
     MAX_EVALUATIONS,
-    ROUNDING,
-    STEP,
+    TRY,
     Minimum,
-    damped_step,
+    damp_more,
+    propose,
+    weigh,
 )
 
 
@@ -47,39 +47,26 @@ def _descend(  # noqa: PLR0917
     """Leave the minimum in ``theta``, its matrix and gradient in the last two; return cost, evaluations, converged."""
     p = theta.size
     trial_normal, trial_gradient = np.empty((p, p)), np.empty(p)
-    step, trial = np.empty(p), np.empty(p)
+    trial, search = np.empty(p), np.zeros(3)
     cost = accumulate(h, b, weight, z, rate, theta, loss, bend, sigma, is_newton, normal, gradient)
-    evaluations, damping, before = 1, 0.0, 0.0
+    evaluations = 1
     while evaluations < limit and math.isfinite(cost):
-        is_regular = damped_step(normal, gradient, damping, step)
-        moved = np.inf
-        if is_regular:
-            square = 0.0
-            for i in range(p):
-                for j in range(p):
-                    square += step[i] * normal[i, j] * step[j]
-            moved = math.sqrt(abs(square))
-            trial[:] = theta + step
-            shrinks = 1.0 if before == 0.0 else min(1.0, max(moved / before, LEAST_SHRINKING))
-            if damping == 0.0 and moved * shrinks <= STEP * math.sqrt(cost) + ROUNDING * floor:
-                theta[:] = trial
-                return cost, evaluations, True
+        found = propose(theta, cost, normal, gradient, floor, search, trial)
+        if found == FOUND:
+            theta[:] = trial
+            return cost, evaluations, True
+        if found == TRY:
             trial_cost = accumulate(
                 h, b, weight, z, rate, trial, loss, bend, sigma, is_newton, trial_normal, trial_gradient
             )
             evaluations += 1
-            is_rounding = moved * moved <= ROUNDING * cost + (ROUNDING * floor) ** 2
-            if trial_cost <= cost or (is_rounding and trial_cost <= cost * (1 + 1e-10)):
+            found = weigh(cost, trial_cost, floor, search)
+            if found == FOUND:
+                return cost, evaluations, True
+            if found == ACCEPTED:
                 theta[:], cost = trial, trial_cost
                 normal[:, :], gradient[:] = trial_normal, trial_gradient
-                before = moved if damping == 0.0 else 0.0
-                damping = damping / 10 if damping > 1e-6 else 0.0
-                continue
-            if moved <= 1e-7 * math.sqrt(cost):
-                # The cost is flat to rounding in the only direction left: this is the minimum.
-                return cost, evaluations, True
-        damping = max(10 * damping, DAMPING_START)
-        if damping > DAMPING_LIMIT:
+        if found != ACCEPTED and not damp_more(search):
             break
     return cost, evaluations, False
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.contract import Fit
-from magcal_core.calibration.estimators.scalar_kernel import residuals
+from magcal_core.calibration.estimators.scalar_kernel import geometric_residuals_nt
 from magcal_core.calibration.observability.advice import advice, motion_words
 from magcal_core.calibration.observability.information import (
     ENOUGH,
@@ -60,8 +60,7 @@ def require_observable(observations: Observations, theta: Floats, normal: Floats
     require_ellipsoid(theta)
     matrix, bias_nt, _ = rows_from_theta(theta, 0)
     x_nt, used = correct(observations.h_nt, bias_nt, lower), observations.weights > 0
-    geometric_nt, none = np.empty(len(used)), np.zeros((len(used), 0))
-    residuals(observations.h_nt, observations.b_nt, none, none, theta[:9], 0.0, geometric_nt)
+    geometric_nt = geometric_residuals_nt(observations.h_nt, observations.b_nt, theta[:9])
     dof = max(int(np.count_nonzero(used)) - 9, 1)
     noise_nt = robust_sigma(geometric_nt[used]) * np.sqrt((dof + 9) / dof)
     information = scalar_information(x_nt[used], matrix, noise_nt)

@@ -285,3 +285,13 @@ def residuals(  # noqa: PLR0917
                 trace += theta[i] * theta[i]
             r = (r - sigma * sigma * (trace - q) / (2.0 * length)) / math.sqrt(q)
         out[s] = r
+
+
+def geometric_residuals_nt(h_nt: Floats, b_nt: Floats, theta: Floats) -> Floats:
+    """Return the distance of each reading from the ellipsoid |L h - c| = B, to first order, shape (n,), nT.
+
+    ``theta``: L's lower half row by row, and c, shape (9,).
+    """
+    out, none = np.empty(len(b_nt)), np.zeros((len(b_nt), 0))
+    residuals(np.require(h_nt, np.float64, ["C", "W"]), b_nt, none, none, theta, 0.0, out)
+    return out

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from magcal_core.arrays import Floats
+from magcal_core.numerics.linear_algebra import unit_diagonal
 from magcal_core.numerics.products import add_products
 from magcal_core.sensor.model import inverse_lower
 
@@ -58,15 +59,14 @@ def _gram(h: Floats, b: Floats, weights: Floats, scale: float) -> Floats:  # pra
 
 def _ten_unknowns(gram: Floats) -> Floats | None:
     left, right = gram[:10, :10], gram[:10, 10]
-    size = np.sqrt(np.maximum(np.diag(left), 1e-300))
-    solution = np.linalg.lstsq(left / np.outer(size, size), right / size, rcond=1e-14)[0] / size
+    scaled, size = unit_diagonal(left)
+    solution = np.linalg.lstsq(scaled, right / size, rcond=1e-14)[0] / size
     return start_of_quadric(solution, None)
 
 
 def _homogeneous(gram: Floats) -> Floats | None:
-    left = gram[:10, :10]
-    size = np.sqrt(np.maximum(np.diag(left), 1e-300))
-    vector = np.linalg.eigh(left / np.outer(size, size))[1][:, 0] / size
+    scaled, size = unit_diagonal(gram[:10, :10])
+    vector = np.linalg.eigh(scaled)[1][:, 0] / size
     # Weighted with 1/(4 B^2): the ratio of two elements of the moments is the mean of B^2.
     mean_square = gram[9, 10] / gram[9, 9]
     return start_of_quadric(vector * np.sign(vector[:3].sum() or 1.0), mean_square)
@@ -98,9 +98,8 @@ def _sphere(gram: Floats) -> Floats:
     carry[3, 10] = 1.0
     carry[5, :3] = 1.0
     moments = carry @ gram @ carry.T
-    size = np.sqrt(np.maximum(np.diag(moments)[:5], 1e-300))
-    left, right = moments[:5, :5] / np.outer(size, size), moments[:5, 5] / size
-    solution = np.linalg.lstsq(left, right, rcond=1e-14)[0] / size
+    scaled, size = unit_diagonal(moments[:5, :5])
+    solution = np.linalg.lstsq(scaled, moments[:5, 5] / size, rcond=1e-14)[0] / size
     bias, square = solution[:3], float(solution[3])
     if not 1e-4 < square < 1e4:
         # B hardly varies: B^2 and the constant cannot be told apart, their difference can.

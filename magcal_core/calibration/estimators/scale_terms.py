@@ -3,8 +3,8 @@
 Notes
 -----
 The reading h less the terms m x h (axis by axis, x the column) is what the method inside fits. The slopes m take
-Gauss-Newton steps beside all its unknowns: linearised at the fit, they are found together, and the fit is made anew
-with what they take off until they stand still. Honest errors: the blocks' scores and normal matrices are widened by the
+Gauss-Newton steps beside all its unknowns: linearised at the fit, they are found together, and the fit is made again
+with what they take off until they converge. Honest errors: the blocks' scores and normal matrices are widened by the
 slopes, with the cross terms, so that every parameter's error knows of them.
 """
 
@@ -24,7 +24,6 @@ from magcal_core.numerics.blocks import BlockScores, block_moments
 from magcal_core.numerics.linear_algebra import scaled_inverse
 from magcal_core.observations import Observations, corrected_nt, residuals_nt
 from magcal_core.sensor.correction import readings_without
-from magcal_core.sensor.model import inverse_lower, matrix_of_parameters
 from magcal_core.sensor.parameterisation import Standardised
 from magcal_core.sensor.parameters import Parameters
 from magcal_core.sensor.regressors import is_of_scale
@@ -58,6 +57,11 @@ class WithScaleTerms:
     def takes_regressors(self) -> bool:
         """Whether the method can fit regressors and a clock offset."""
         return self.inner.takes_regressors
+
+    @property
+    def has_moments(self) -> bool:
+        """Whether its fit is the minimum of squares that refits from stored moments start at."""
+        return self.inner.has_moments
 
     def fit(self, observations: Observations, settings: FitSettings) -> Fit:
         """Return the estimate.
@@ -226,7 +230,7 @@ class _Linear:
 
 def _of_scalar(o: Observations, at: Parameters, z: Standardised, terms: Sequence[Floats]) -> list[_Channel]:
     """Return |T^-1 (h - b)| - |B| by (L, c, d, clock) and by the slopes."""
-    lower = inverse_lower(matrix_of_parameters(at.scale, np.deg2rad(at.nonorthogonality_deg)))
+    lower = at.correction_matrix
     x_nt = corrected_nt(o, at)
     u = x_nt / np.linalg.norm(x_nt, axis=1)[:, None]
     rows, entries = np.tril_indices(3)
@@ -238,7 +242,7 @@ def _of_scalar(o: Observations, at: Parameters, z: Standardised, terms: Sequence
 
 def _of_vector(o: Observations, at: Parameters, z: Standardised, terms: Sequence[Floats]) -> list[_Channel]:
     """Return the model of each axis, T B + b + slopes z, by its own unknowns and by the slopes of the scale."""
-    matrix, b_nt = matrix_of_parameters(at.scale, np.deg2rad(at.nonorthogonality_deg)), o.require_vector()
+    matrix, b_nt = at.matrix, o.require_vector()
     k, found = len(z.names), []
     rates = np.zeros((len(o), 0, 3)) if o.rate_base_nt_s is None else o.rate_base_nt_s
     first = 9 + 3 * k

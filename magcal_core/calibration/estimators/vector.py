@@ -29,6 +29,7 @@ class VectorFit:
     name: str = "vector"
     is_vector: bool = True
     takes_regressors: bool = True
+    has_moments: bool = True
 
     def fit(self, observations: Observations, settings: FitSettings) -> Fit:
         """Return the estimate.

@@ -11,11 +11,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats
+from magcal_core.numerics.linear_algebra import unit_diagonal
 from magcal_core.numerics.products import products_of
-from magcal_core.numerics.sphere import _even_directions
+from magcal_core.numerics.sphere import even_directions
 from magcal_core.numerics.vectors import lengths
 from magcal_core.sensor.model import inverse_lower
 from magcal_core.sensor.parameterisation import matrix_jacobian
+from magcal_core.sensor.parameters import SENSOR_NAMES
 
 UNOBSERVABLE_BELOW: Final = 3.0
 WEAK_BELOW: Final = 10.0
@@ -26,7 +28,7 @@ ENOUGH: Final = 20_000
 """Samples, evenly spaced, that show what all of them determine."""
 SIGMA_FLOOR: Final = 1e-7
 """Smallest noise that is believed, as a share of the field: 4 pT at 40 uT, and the rounding of the moments."""
-PARAMETER_NAMES: Final = tuple(f"{g}[{i}]" for g in ("bias_nt", "scale", "nonorthogonality_deg") for i in range(3))
+PARAMETER_NAMES: Final = SENSOR_NAMES
 SHORT_NAMES: Final = ("b1", "b2", "b3", "k1", "k2", "k3", "e1", "e2", "e3")
 
 _QUADRATIC: Final = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -167,8 +169,7 @@ def taking_part(directions: Floats, share: float = 0.3) -> tuple[int, ...]:
 
 def condition_number(normal: Floats) -> float:
     """Return the condition number of a Jacobian with unit columns, from its normal matrix."""
-    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    values = np.linalg.eigvalsh(normal / np.outer(size, size))
+    values = np.linalg.eigvalsh(unit_diagonal(normal)[0])
     return float(np.sqrt(values[-1] / max(values[0], 1e-16 * values[-1])))
 
 
@@ -212,7 +213,7 @@ def sphere_coverage(directions: Floats) -> float:
 
 
 def _share_near(cells: Floats) -> float:
-    grid = _even_directions(600)
+    grid = even_directions(600)
     near = np.zeros(len(grid), dtype=bool)
     _mark_near(grid, cells, float(np.cos(np.deg2rad(_REACH_DEG))), near)
     return float(near.mean())

@@ -31,7 +31,6 @@ from magcal_core.numerics.linear_algebra import scaled_inverse
 from magcal_core.numerics.regression import block_sums
 from magcal_core.observations import Observations
 from magcal_core.sensor.correction import readings_without
-from magcal_core.sensor.model import matrix_of_parameters
 from magcal_core.sensor.parameterisation import (
     Standardised,
     parameters_from_rows,
@@ -42,8 +41,6 @@ from magcal_core.sensor.parameterisation import (
 )
 from magcal_core.sensor.parameters import Parameters
 
-METHODS: Final = frozenset({"scalar", "scalar-hooke-jeeves", "vector"})
-"""Methods whose estimate is the minimum of a sum of squares, which a step from it can be taken of."""
 MAX_COLUMNS: Final = 6
 _BLOCKS: Final = (24, 96)
 """Fewest and most blocks with a normal matrix; where the fit has more blocks, neighbours share one."""
@@ -286,10 +283,10 @@ def _firsts(blocks: int, unknowns: int) -> NDArray[np.intp]:
 def moments_of_fit(
     observations: Observations, fit: Fit, t_utc: Times, shifts: Sequence[ReferenceShift], *, is_clock_fitted: bool
 ) -> FitMoments:
-    """Return the moments of ``fit``, which is one of `METHODS` and has no regressors of the scale.
+    """Return the moments of ``fit``, whose method has moments, and which has no regressors of the scale.
 
     ``observations``: those of the fit, at its clock, with every column that may be asked for among their regressors and
-    the fall of the reference by the clock's offset, where there is one; ``t_utc``, shape (n,): their times.
+    the derivative of the reference by the clock's offset, where there is one; ``t_utc``, shape (n,): their times.
     ``shifts``: what errors of the reference do.
     """
     o, at = replace(observations, weights=fit.weights), replace(fit.parameters, time_offset_s=None)
@@ -352,7 +349,7 @@ def _vector_sums(
 
     Each axis counts by its own noise, as in the fit; here the mean of these weights is one.
     """
-    matrix, b_nt = matrix_of_parameters(at.scale, np.deg2rad(at.nonorthogonality_deg)), o.require_vector()
+    matrix, b_nt = at.matrix, o.require_vector()
     k, rates = len(z.names), o.rate_base_nt_s
     m = 0 if rates is None else rates.shape[1]
     r = readings_without(o.regressors, o.h_nt, at) - at.bias_nt - b_nt @ matrix.T

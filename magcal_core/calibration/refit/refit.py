@@ -44,7 +44,7 @@ class RefitOptions:
     Attributes
     ----------
     regressors : tuple of str, or ``auto``, optional
-        Columns that move the bias; ``auto``: those that unseen blocks bear out. Those of the fit unless given.
+        Columns that move the bias; ``auto``: those that unseen blocks support. Those of the fit unless given.
     time_offset : bool, optional
         Whether the clock's offset is an unknown. As in the fit unless given.
     without : tuple of (begin, end)
@@ -292,7 +292,7 @@ def _solved(base: BlockSums, take: NDArray[np.intp]) -> Floats:
 
 
 def _chosen(problem: _Problem) -> tuple[tuple[str, ...], tuple[Ablation, ...]]:
-    """Return the regressors that unseen blocks bear out, one after the other, and every model that was tried."""
+    """Return the regressors that unseen blocks support, one after the other, and every model that was tried."""
     names: tuple[str, ...] = ()
     rows = [problem.tried(names)]
     while len(names) < MAX_TERMS:

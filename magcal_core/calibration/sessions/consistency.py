@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from magcal_core.errors import OptionError
+from magcal_core.numerics.linear_algebra import floored_inverse, scaled_solution
 from magcal_core.sensor.parameters import Parameters
 
 Floats = np.typing.NDArray[np.float64]
@@ -17,6 +18,8 @@ Floats = np.typing.NDArray[np.float64]
 INCONSISTENT_P: Final = 1e-3
 """Probability, over all comparisons together, below which sessions are said to disagree."""
 _NAMED: Final = 4
+_FLOOR: Final = 0.1
+"""Least eigenvalue of a covariance with a unit diagonal that a test of the parameters together relies on."""
 _UNITS: Final[Mapping[str, str]] = {
     "bias_nt": " nT",
     "scale": "",
@@ -145,18 +148,11 @@ def _selected(estimate: SessionEstimate, names: Sequence[str]) -> tuple[Floats, 
 
 
 def _wald(values: Sequence[Floats], covariances: Sequence[Floats]) -> float:
-    inverses = [_guarded_inverse(covariance) for covariance in covariances]
+    inverses = [floored_inverse(covariance, _FLOOR) for covariance in covariances]
     total = np.sum(inverses, axis=0)
-    size = np.sqrt(np.diag(total))
     weighted = np.sum([inverse @ value for inverse, value in zip(inverses, values, strict=True)], axis=0)
-    mean = np.linalg.solve(total / np.outer(size, size), weighted / size) / size
+    mean = scaled_solution(total, weighted)
     return float(sum((v - mean) @ inverse @ (v - mean) for v, inverse in zip(values, inverses, strict=True)))
-
-
-def _guarded_inverse(covariance: Floats, floor: float = 0.1) -> Floats:
-    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    lengths, vectors = np.linalg.eigh(covariance / np.outer(size, size))
-    return np.asarray((vectors / np.maximum(lengths, floor)) @ vectors.T / np.outer(size, size))
 
 
 def _text(differences: Sequence[ParameterDifference], p_value: float, chi_p: float) -> str:

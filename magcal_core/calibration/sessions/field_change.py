@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from magcal_core.arrays import Floats
+from magcal_core.numerics.sphere import even_directions
 from magcal_core.sensor.model import matrix_of_parameters
 from magcal_core.sensor.parameters import Parameters
 
@@ -30,7 +31,7 @@ def field_jacobian(at: Parameters, mean_field_nt: float) -> Floats:
 
     Rows: three components in each of 64 directions of a field of ``mean_field_nt``.
     """
-    b_nt = mean_field_nt * _sphere()
+    b_nt = mean_field_nt * even_directions(_DIRECTIONS)
     angles_deg, scale = at.nonorthogonality_deg, at.scale
     matrix = matrix_of_parameters(scale, np.deg2rad(angles_deg))
     inverse = np.linalg.inv(matrix)
@@ -45,11 +46,3 @@ def field_jacobian(at: Parameters, mean_field_nt: float) -> Floats:
         slope = (matrix_of_parameters(scale, np.deg2rad(nudged)) - matrix) / 1e-3
         columns.append(b_nt @ (inverse @ slope).T)
     return np.stack(columns, axis=-1).reshape(-1, 9)
-
-
-def _sphere() -> Floats:
-    turns = np.arange(_DIRECTIONS) + 0.5
-    z = 1.0 - 2.0 * turns / _DIRECTIONS
-    angle = turns * np.pi * (1.0 + np.sqrt(5.0))
-    radius = np.sqrt(1.0 - z**2)
-    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), z])

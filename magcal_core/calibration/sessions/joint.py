@@ -20,7 +20,7 @@ from magcal_core.calibration.uncertainty.honest_covariance import covered_s, hon
 from magcal_core.errors import EstimationError, Fault, NotObservableError, OptionError
 from magcal_core.numerics.blocks import BlockScores
 from magcal_core.numerics.levenberg_marquardt import Minimum, minimise
-from magcal_core.numerics.linear_algebra import scaled_inverse
+from magcal_core.numerics.linear_algebra import scaled_condition, scaled_inverse
 from magcal_core.numerics.robust import robust_sigma, weights_and_slopes
 from magcal_core.observations import Observations, residuals_nt
 from magcal_core.sensor.parameters import Parameters
@@ -348,7 +348,7 @@ def _formal(problem: _Problem, blocks: BlockScores) -> Floats:
     normal = blocks.normals.sum(axis=0)
     size = np.sqrt(np.diag(normal))
     is_dead = ~(size > 0)
-    if is_dead.any() or np.linalg.cond(normal / np.outer(size, size)) > 1e14:
+    if is_dead.any() or scaled_condition(normal) > 1e14:
         hidden = [name for name, dead in zip(problem.names, is_dead, strict=True) if dead] or list(problem.names)
         raise NotObservableError("the sessions together do not determine the parameters", hidden)
     return scaled_inverse(normal)

@@ -10,6 +10,7 @@ import numpy as np
 
 from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.normal_equations import block_equations, equations_at
+from magcal_core.calibration.estimators.registry import is_vector_method
 from magcal_core.calibration.estimators.scale_terms import without_scale_terms
 from magcal_core.calibration.reasons import Reason
 from magcal_core.calibration.sessions.consistency import ParameterDifference
@@ -17,6 +18,7 @@ from magcal_core.calibration.sessions.field_change import field_change
 from magcal_core.calibration.uncertainty.honest_covariance import covered_s, honest_covariance
 from magcal_core.errors import InputError, OptionError
 from magcal_core.numerics.blocks import BlockScores
+from magcal_core.numerics.linear_algebra import scaled_solution
 from magcal_core.observations import Observations, residuals_nt
 from magcal_core.sensor.parameters import Parameters
 from magcal_core.sensor.regressors import BEFORE, is_step
@@ -103,7 +105,7 @@ class ActiveSet:
             rms_nt = float(statistics["after"]["rms_nt"])
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"the record is no parameter set: {error}") from error
-        return cls(parameters, covariance, rms_nt, str(record.get("method", "")).startswith("vector"))
+        return cls(parameters, covariance, rms_nt, is_vector_method(record.get("method")))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -314,10 +316,10 @@ def _step(moments: SessionMoments, rows: int) -> tuple[Floats, Floats]:
     variance, step = moments.cost / rows, np.zeros(p)
     for _ in range(2):
         total = normal + variance * loose
-        step = -_solve(total, gradient)
+        step = -scaled_solution(total, gradient)
         left = moments.cost + 2.0 * gradient @ step + step @ normal @ step
         variance = max(float(left) / max(rows - p, 1), 1e-12 * moments.cost / rows, 1e-300)
-    inverse = _solve(total, np.eye(p))
+    inverse = scaled_solution(total, np.eye(p))
     after = blocks.scores + blocks.normals @ step
     settled = BlockScores(
         np.concatenate([after, np.zeros((1, p))]),
@@ -328,13 +330,6 @@ def _step(moments: SessionMoments, rows: int) -> tuple[Floats, Floats]:
     honest = honest_covariance(settled, inverse * variance, moments.samples, moments.duration_s).covariance
     shift = inverse @ moments.noise_score * variance
     return step, honest + np.outer(shift, shift)
-
-
-def _solve(normal: Floats, right: Floats) -> Floats:
-    size = np.sqrt(np.diag(normal))
-    scaled = right / size if right.ndim == 1 else right / size[:, None]
-    found = np.linalg.solve(normal / np.outer(size, size), scaled)
-    return np.asarray(found / size if right.ndim == 1 else found / size[:, None])
 
 
 def differences_of(

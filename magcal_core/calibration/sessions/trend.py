@@ -25,7 +25,7 @@ from magcal_core.calibration.sessions.trend_changes import (
     p_value_of_last,
     without_last,
 )
-from magcal_core.calibration.sessions.trend_filter import GROUPS, History
+from magcal_core.calibration.sessions.trend_filter import History
 from magcal_core.calibration.sessions.trend_life import (
     DAYS_A_YEAR,
     Life,
@@ -36,7 +36,7 @@ from magcal_core.calibration.sessions.trend_life import (
 from magcal_core.calibration.sessions.trend_sets import Chosen, DatedSet, HasRecord, choose_sets
 from magcal_core.calibration.sessions.trend_states import NAMES, NS_A_YEAR, Smoothed, TrendStates
 from magcal_core.errors import BeyondHistoryError, InputError, OptionError, TimeError
-from magcal_core.sensor.parameters import Parameters
+from magcal_core.sensor.parameters import GROUPS, Parameters
 from magcal_core.telemetry.iso_times import parse_iso_ns
 from magcal_core.units import utc_text
 
@@ -89,7 +89,7 @@ class Trend:
 
     Attributes
     ----------
-    at_utc : the time that the record is told for.
+    at_utc : the time that the record is given for.
     share, field_nt : of the life: share of the field, nT, that the error's bound may not pass.
     chosen : the sets, those left out with reasons.
     smoothed : the history.
@@ -289,7 +289,7 @@ def trend(
     Parameters
     ----------
     sets : records of parameter sets, or calibrations.
-    at : time that the record is told for; the end of the last set's data unless given.
+    at : time that the record is given for; the end of the last set's data unless given.
     share, field_nt : of the life: the share of the field, nT, that the error's bound may not pass.
 
     Raises

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats
 from magcal_core.calibration.sessions.trend_filter import (
-    GROUPS,
     History,
     Passes,
     both_passes,
     product,
     squared_distance,
 )
+from magcal_core.sensor.parameters import GROUPS
 
 SIGNIFICANT_P: Final = 1e-3
 """Probability, over all kinds, groups and places, below which a change is believed."""

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats
 
-GROUPS: Final = ("bias_nt", "scale", "nonorthogonality_deg")
 """The groups of three that walk, scatter and jump each on their own."""
 DIFFUSE: Final = 1.0
 """Variance, share^2, of a start, and of a jump."""

@@ -11,7 +11,7 @@ from magcal_core.arrays import Floats
 
 _HELD: Final = 0.95
 _MOST_SPANS: Final = 2.0
-"""Longest life that is told, in spans of the history: beyond it nothing was ever seen."""
+"""Longest life that is given, in spans of the history: beyond it nothing was ever seen."""
 _STEPS: Final = 256
 DAYS_A_YEAR: Final = 365.25
 

@@ -9,7 +9,10 @@ from typing import Final, Protocol
 import numpy as np
 
 from magcal_core.arrays import Floats
+from magcal_core.calibration.estimators.registry import is_vector_method
 from magcal_core.errors import InputError, OptionError, TimeError, TooFewSetsError
+from magcal_core.numerics.linear_algebra import unit_diagonal
+from magcal_core.sensor.parameters import GROUPS, SENSOR_NAMES
 from magcal_core.sensor.regressors import is_step
 from magcal_core.telemetry.iso_times import parse_iso_ns
 
@@ -17,7 +20,6 @@ FEWEST: Final = 3
 """With two sets the prior decides how far a forecast may be off."""
 _SAME_DATA: Final = 0.1
 """Share of the shorter span that two sets may have in common."""
-_NAMES: Final = tuple(f"{group}[{i}]" for group in ("bias_nt", "scale", "nonorthogonality_deg") for i in range(3))
 
 
 class HasRecord(Protocol):
@@ -65,7 +67,7 @@ class DatedSet:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chosen:
-    """The sets that count, in the order of time, the set whose life is told, and what was left out, with reasons."""
+    """The sets that count, in the order of time, the set whose life is given, and what was left out, with reasons."""
 
     sets: tuple[DatedSet, ...]
     active: DatedSet
@@ -130,9 +132,8 @@ def _is_same_data(one: DatedSet, other: DatedSet) -> bool:
 def _require_covariance(one: DatedSet) -> None:
     if one.covariance is None:
         raise OptionError(f"parameter set {one.label} has no covariance: a trend needs that of every set that counts")
-    size = np.sqrt(np.maximum(np.diag(one.covariance), 1e-300))
     try:
-        np.linalg.cholesky(one.covariance / np.outer(size, size))
+        np.linalg.cholesky(unit_diagonal(one.covariance)[0])
     except np.linalg.LinAlgError as error:
         raise OptionError(f"the covariance of parameter set {one.label} is not positive definite") from error
 
@@ -143,7 +144,7 @@ def _dated(record: Mapping[str, object]) -> DatedSet:
         values, verdict = record["parameters"], record["verdict"]
         if not isinstance(values, Mapping) or not isinstance(verdict, Mapping):
             raise InputError("the record is no parameter set: parameters and verdict are not mappings")
-        parameters = np.array([v for group in _groups() for v in values[group]], np.float64)
+        parameters = np.array([v for group in GROUPS for v in values[group]], np.float64)
         regressors = [str(name) for name in values.get("regressors") or {}]
         from_ns, until_ns = (parse_iso_ns(str(record[name])) for name in ("data_from", "data_until"))
         covariance = _covariance(record)
@@ -164,17 +165,13 @@ def _dated(record: Mapping[str, object]) -> DatedSet:
         is_active=record.get("status") == "active",
         is_refused=verdict.get("grade") == "refuse",
         kind=(
-            str(record.get("method", "")).startswith("vector"),
+            is_vector_method(record.get("method")),
             frozenset(name for name in regressors if not is_step(name)),
         ),
         parameters=parameters,
         covariance=covariance,
         rank=(*parameters.tolist(), *([] if covariance is None else covariance.ravel().tolist())),
     )
-
-
-def _groups() -> tuple[str, str, str]:
-    return ("bias_nt", "scale", "nonorthogonality_deg")
 
 
 def _covariance(record: Mapping[str, object]) -> Floats | None:
@@ -184,11 +181,11 @@ def _covariance(record: Mapping[str, object]) -> Floats | None:
         return None
     whole = np.array(told, np.float64)
     names = record.get("parameter_names")
-    order = [str(name) for name in names] if isinstance(names, Sequence) else list(_NAMES)
+    order = [str(name) for name in names] if isinstance(names, Sequence) else list(SENSOR_NAMES)
     if whole.ndim != 2 or whole.shape != (len(order), len(order)):
         raise ValueError(f"the covariance has the shape {whole.shape}, there are {len(order)} parameter names")
-    if any(name not in order for name in _NAMES):
+    if any(name not in order for name in SENSOR_NAMES):
         return None
-    index = [order.index(name) for name in _NAMES]
+    index = [order.index(name) for name in SENSOR_NAMES]
     found = whole[np.ix_(index, index)]
     return 0.5 * (found + found.T) if np.isfinite(found).all() else None

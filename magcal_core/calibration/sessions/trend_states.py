@@ -10,10 +10,10 @@ import numpy as np
 from magcal_core.arrays import Floats, Times
 from magcal_core.calibration.sessions.field_change import field_jacobian
 from magcal_core.calibration.sessions.trend_changes import Explained
-from magcal_core.calibration.sessions.trend_filter import GROUPS, Passes, both_passes
+from magcal_core.calibration.sessions.trend_filter import Passes, both_passes
 from magcal_core.calibration.sessions.trend_life import DAYS_A_YEAR, bound_nt
 from magcal_core.calibration.sessions.trend_mixture import standard_error
-from magcal_core.sensor.parameters import Parameters
+from magcal_core.sensor.parameters import GROUPS, Parameters
 
 NAMES: Final = tuple(f"{group}[{i}]" for group in GROUPS for i in range(3))
 NS_A_YEAR: Final = DAYS_A_YEAR * 86400e9
@@ -58,7 +58,7 @@ class Smoothed:
 
     @classmethod
     def of(cls, explained: Explained, centre: Floats, unit: Floats, field_nt: float, first_ns: int) -> Smoothed:
-        """Return the smoothed history; ``field_nt``: the field that its errors are told for."""
+        """Return the smoothed history; ``field_nt``: the field that its errors are given for."""
         walks, scatters = (np.repeat(one, 3) for one in explained.mean_squares())
         at = Parameters(centre[:3], centre[3:6], centre[6:9])
         jacobian = field_jacobian(at, field_nt) * unit

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.contract import Fit
 from magcal_core.observations import Observations
-from magcal_core.sensor.correction import readings_without
-from magcal_core.sensor.model import inverse_lower, matrix_of_parameters
+from magcal_core.sensor.correction import correct, readings_without
+from magcal_core.sensor.model import inverse_lower
 from magcal_core.sensor.regressors import term_nt
 
 Waves = NDArray[np.complex128]
@@ -99,7 +99,8 @@ def slow_waves(observations: Observations, fit: Fit) -> tuple[float, ...]:
 
     None where nothing slow is left, and none where waves do not explain it.
 
-    ``observations``: those of the fit, with the fall of the reference by the clock where that was among its unknowns.
+    ``observations``: those of the fit, with the derivative of the reference by the clock where that was an
+    unknown.
     """
     step = max(1, -(-len(observations) // _MOST_SAMPLES))
     t_s = observations.t_s[::step]
@@ -174,14 +175,14 @@ def _limit(frequencies: int) -> float:
 
 
 def _channels(o: Observations, fit: Fit, step: int) -> Iterator[_Channel]:
-    """Yield what is told apart: |B|, or the sensor's axes one after the other, of every ``step``-th sample."""
+    """Yield what is distinguished: |B|, or the sensor's axes one after the other, of every ``step``-th sample."""
     residual, root = fit.residuals_nt[::step], np.sqrt(fit.weights[::step])
-    matrix = matrix_of_parameters(fit.parameters.scale, np.deg2rad(fit.parameters.nonorthogonality_deg))
+    matrix = fit.parameters.matrix
     reading = readings_without(o.regressors, o.h_nt, fit.parameters)
     ones, columns = np.ones((len(o), 1)), list(o.regressors.values())
     if residual.ndim == 1:
         lower = inverse_lower(matrix)
-        corrected = (reading - fit.parameters.bias_nt) @ lower.T
+        corrected = correct(reading, fit.parameters.bias_nt, lower)
         along = corrected / np.linalg.norm(corrected, axis=1)[:, None]
         rows, entries = np.tril_indices(3)
         base = [along[:, rows] * reading[:, entries], along, o.rate_nt_s]

@@ -4,7 +4,7 @@ Notes
 -----
 A TLE that is some weeks off is wrong mostly along track, which is an error of time. The offset tau is what must be
 added to the telemetry's clock. The reference at t + tau + delta is B(t + tau) + delta dB/dt: delta is one more unknown
-of the fit, and the reference is computed anew until it vanishes. Where the residuals show slow waves of the bias, these
+of the fit, and the reference is recomputed until it vanishes. Where the residuals show slow waves of the bias, these
 are unknowns of the search as well, lest they pass for an offset; the parameters are then those of the plain fit at the
 clock that was found.
 """
@@ -156,7 +156,7 @@ def fit_with_clock(
 
 
 def with_rates(observations: Observations, at: At) -> Observations:
-    """Return the observations with the fall of their reference by the clock's offset; ``at``: of the same samples."""
+    """Return the observations with the derivative of their reference by the clock; ``at``: of the same samples."""
     n = len(observations)
     later, sooner = (at(np.full(n, step_s), slice(None)) for step_s in (_RATE_STEP_S, -_RATE_STEP_S))
     return _Expansion.about(observations, later, sooner).moved(0.0, np.ones((1, n)))
@@ -279,7 +279,7 @@ class _Search:
         return self.fixed(clock)
 
     def fixed(self, clock: Floats) -> _Found:
-        """Return the fit with the reference at ``clock``, which no search has brought to stand still."""
+        """Return the fit with the reference at ``clock``, to which no search has converged."""
         observations = self._expanded(clock, self._at(clock)).moved(0.0, self.shapes)
         fit = self.estimator.fit(observations, self.settings)
         return _Found(clock + fit.clock, observations, fit, False)
@@ -310,40 +310,40 @@ class _Search:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Expansion:
-    """The reference about a place of the clock: fall, nT/s, and curvature, nT/s^2, of |B| and of its components."""
+    """The reference about a place of the clock: -d/dt, nT/s, and curvature, nT/s^2, of |B| and of its components."""
 
     here: Observations
-    fall: Floats
+    slope: Floats
     curve: Floats
-    base_fall: Floats | None
+    base_slope: Floats | None
     base_curve: Floats | None
 
     @classmethod
     def about(cls, here: Observations, later: Observations, sooner: Observations) -> _Expansion:
         """Return the expansion about ``here``, from the observations `_RATE_STEP_S` later and sooner."""
-        fall, curve = _differences(here.b_nt, later.b_nt, sooner.b_nt)
-        base_fall = base_curve = None
+        slope, curve = _differences(here.b_nt, later.b_nt, sooner.b_nt)
+        base_slope = base_curve = None
         if here.b_base_nt is not None and sooner.b_base_nt is not None and later.b_base_nt is not None:
-            base_fall, base_curve = _differences(here.b_base_nt, later.b_base_nt, sooner.b_base_nt)
-        return cls(here, fall, curve, base_fall, base_curve)
+            base_slope, base_curve = _differences(here.b_base_nt, later.b_base_nt, sooner.b_base_nt)
+        return cls(here, slope, curve, base_slope, base_curve)
 
     def moved(self, step_s: Floats | float, shapes: Floats) -> Observations:
-        """Return the observations ``step_s`` on, with the fall of the reference by each unknown of the clock there."""
-        step = np.broadcast_to(np.asarray(step_s, np.float64), self.fall.shape)
-        fall = self.fall - step * self.curve
-        b_nt = self.here.b_nt - step * (self.fall - 0.5 * step * self.curve)
+        """Return the observations ``step_s`` on, with the derivative of the reference by each unknown there."""
+        step = np.broadcast_to(np.asarray(step_s, np.float64), self.slope.shape)
+        slope = self.slope - step * self.curve
+        b_nt = self.here.b_nt - step * (self.slope - 0.5 * step * self.curve)
         base_nt, base_rate = self.here.b_base_nt, None
-        if base_nt is not None and self.base_fall is not None and self.base_curve is not None:
+        if base_nt is not None and self.base_slope is not None and self.base_curve is not None:
             along = step[:, None]
-            base_nt = base_nt - along * (self.base_fall - 0.5 * along * self.base_curve)
-            base_rate = (self.base_fall - along * self.base_curve)[:, None, :] * shapes.T[:, :, None]
+            base_nt = base_nt - along * (self.base_slope - 0.5 * along * self.base_curve)
+            base_rate = (self.base_slope - along * self.base_curve)[:, None, :] * shapes.T[:, :, None]
             base_rate = np.ascontiguousarray(base_rate)
-        rate = np.ascontiguousarray(fall[:, None] * shapes.T)
+        rate = np.ascontiguousarray(slope[:, None] * shapes.T)
         return replace(self.here, b_nt=b_nt, b_base_nt=base_nt, rate_nt_s=rate, rate_base_nt_s=base_rate)
 
 
 def _differences(here: Floats, later: Floats, sooner: Floats) -> tuple[Floats, Floats]:
-    """Return fall and curvature of a column from its values `_RATE_STEP_S` later and sooner."""
+    """Return -d/dt and curvature of a column from its values `_RATE_STEP_S` later and sooner."""
     return (sooner - later) / (2 * _RATE_STEP_S), ((later - here) + (sooner - here)) / _RATE_STEP_S**2
 
 

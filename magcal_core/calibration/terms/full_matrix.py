@@ -21,7 +21,7 @@ from magcal_core.calibration.terms.locked import LockedTerms, locked_terms
 from magcal_core.calibration.terms.locked_columns import LockedColumns
 from magcal_core.calibration.uncertainty.consider_errors import ReferenceErrors
 from magcal_core.calibration.uncertainty.cross_validation import folds_of
-from magcal_core.numerics.linear_algebra import scaled_inverse
+from magcal_core.numerics.linear_algebra import scaled_condition, scaled_inverse
 from magcal_core.observations import Observations, corrected_nt
 from magcal_core.sensor.correction import readings_without
 from magcal_core.sensor.model import lower_triangular_gauge
@@ -179,8 +179,7 @@ def unseen_rms_nt(observations: Observations, fit: Fit, full: FullMatrix) -> flo
         weights = fit.weights.copy()
         weights[fold] = 0.0
         normal = design.T @ (weights[:, None] * design)
-        size = np.sqrt(np.diag(normal))
-        if np.linalg.cond(normal / np.outer(size, size)) > _SINGULAR:
+        if scaled_condition(normal) > _SINGULAR:
             return None
         found = scaled_inverse(normal) @ design.T @ (weights[:, None] * reading)
         left = (reading[fold] - design[fold] @ found)[fit.weights[fold] > 0] @ back

@@ -27,7 +27,7 @@ from magcal_core.calibration.uncertainty.cross_validation import folds_of
 from magcal_core.calibration.uncertainty.honest_covariance import HonestCovariance, student_95, with_blocks
 from magcal_core.calibration.uncertainty.low_frequencies import low_frequency_variances
 from magcal_core.numerics.blocks import BlockScores
-from magcal_core.numerics.linear_algebra import scaled_inverse
+from magcal_core.numerics.linear_algebra import scaled_inverse, scaled_solution
 from magcal_core.observations import Observations, residuals_nt
 from magcal_core.sensor.parameters import Parameters
 
@@ -49,7 +49,7 @@ _MOST_LAGS: Final = 400
 _BLOCKS: Final = 64
 _ROUNDS: Final = 2
 _LARGEST: Final = 3.0
-"""Size of every family under which all terms are taken off before the memory of the rest is told."""
+"""Size of every family under which all terms are taken off before the memory of the rest is estimated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +171,7 @@ def locked_terms(
     Parameters
     ----------
     observations, fit
-        The fit and what it was made of; with the fall of the reference where the clock is an unknown.
+        The fit and what it was made of; with the derivative of the reference where the clock is an unknown.
     duration_s : float
         Time that the samples cover, s.
     kind : {"fit", "clock", "full"}
@@ -400,9 +400,8 @@ def _held_out(about: _Linear, folds: NDArray[np.intp], o: Observations) -> Float
 
 def _solved(normal: Floats, right: Floats) -> Floats | None:
     """Return the solution under a unit diagonal; None where the rest of the data does not determine it."""
-    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     try:
-        return np.asarray(np.linalg.solve(normal / np.outer(size, size), right / size) / size)
+        return scaled_solution(normal, right)
     except np.linalg.LinAlgError:
         return None
 

@@ -4,7 +4,7 @@ Notes
 -----
 A bias that follows the orbit of a satellite that points is nearly what a clock does that is off; so the offset is one
 unknown more of the model of `locked`, with the families beside it. One step at offset 0 tells whether a search is worth
-its cost. Each step of a search is the posterior mean, of at most 60 s; the reference is computed anew until it is below
+its cost. Each step of a search is the posterior mean, of at most 60 s; the reference is recomputed until it is below
 0.01 s. Its error is the posterior one with honest variances, and what an external field does to it.
 """
 
@@ -135,7 +135,7 @@ class ClockSearch:
         return max(LEAST_S, ORBIT_SIGMAS * self.along_s)
 
     def glimpse(self, rated: Observations, fit: Fit) -> LockedClock:
-        """Return what one step at offset 0 says; ``fit``: the plain one to ``rated``, which have the fall there."""
+        """Return what one step at offset 0 says; ``fit``: the plain one to ``rated``, with the derivative there."""
         step_s, error_s, moments = self._step(rated, fit)
         is_searched = abs(step_s) >= QUIET * error_s
         return LockedClock(
@@ -203,13 +203,13 @@ class ClockSearch:
     def _with_rates(self, offset_s: float, here: Observations) -> Observations:
         n = len(here)
         later, sooner = (self.at(np.full(n, offset_s + step_s), slice(None)) for step_s in (RATE_STEP_S, -RATE_STEP_S))
-        return with_fall(here, later, sooner)
+        return with_derivative(here, later, sooner)
 
 
-def with_fall(here: Observations, later: Observations, sooner: Observations) -> Observations:
-    """Return ``here`` with the fall of its reference, from those `RATE_STEP_S` later and sooner."""
-    fall = ((sooner.b_nt - later.b_nt) / (2.0 * RATE_STEP_S))[:, None]
-    base_fall = None
+def with_derivative(here: Observations, later: Observations, sooner: Observations) -> Observations:
+    """Return ``here`` with the derivative of its reference, from those `RATE_STEP_S` later and sooner."""
+    slope = ((sooner.b_nt - later.b_nt) / (2.0 * RATE_STEP_S))[:, None]
+    base_slope = None
     if sooner.b_base_nt is not None and later.b_base_nt is not None:
-        base_fall = ((sooner.b_base_nt - later.b_base_nt) / (2.0 * RATE_STEP_S))[:, None, :]
-    return replace(here, rate_nt_s=np.ascontiguousarray(fall), rate_base_nt_s=base_fall)
+        base_slope = ((sooner.b_base_nt - later.b_base_nt) / (2.0 * RATE_STEP_S))[:, None, :]
+    return replace(here, rate_nt_s=np.ascontiguousarray(slope), rate_base_nt_s=base_slope)

@@ -131,7 +131,7 @@ def _standardised(terms: Terms, used: NDArray[np.bool_]) -> list[Floats] | None:
 
 
 def _surrogate(terms: Sequence[Floats], t_s: Floats, random: np.random.Generator) -> list[Floats]:
-    """Return the terms with the signs of their cosine transforms drawn anew, the same for all terms of a candidate."""
+    """Return the terms with the signs of their cosine transforms redrawn, the same for all terms of a candidate."""
     from scipy.fft import dct, idct
 
     signs = random.choice([-1.0, 1.0], size=len(t_s))

@@ -97,7 +97,7 @@ def choose_regressors(
     """Return the terms, among the regressors of ``observations``, that bear evidence beside every smooth bias.
 
     ``smooth``: what a column must bear evidence beside. Starts from none and adds the one with the most evidence while
-    that is enough, more than any of its surrogates', and unseen blocks bear it out: the held-out residual falls by
+    that is enough, more than any of its surrogates', and unseen blocks support it: the held-out residual falls by
     `GAIN`, and in most of the blocks. Without any such term, or where the blocks alone do not determine the parameters,
     the choice is none.
     """

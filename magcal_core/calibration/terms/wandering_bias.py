@@ -20,6 +20,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from magcal_core.arrays import Floats, Indices, Times
+from magcal_core.numerics.linear_algebra import unit_diagonal
 from magcal_core.sensor.parameters import Parameters
 
 MEMORIES_S: Final = (300.0, 900.0, 2700.0, 8100.0, 32400.0)
@@ -244,8 +245,8 @@ def solved(blocks: Blocks, process: Process, steps: Sequence[int]) -> Solved:
         reduced = score - carried @ bias_score
     else:
         carried, bias_score, reduced = np.zeros((len(score), 0)), bias_score[:0], score
-    size = np.sqrt(np.diag(normal))
-    factor = np.linalg.cholesky(normal / np.outer(size, size))
+    scaled, size = unit_diagonal(normal)
+    factor = np.linalg.cholesky(scaled)
     half = np.linalg.inv(factor) / size
     inverse = half.T @ half
     log_determinant += 2.0 * float(np.log(np.diag(factor)).sum() + np.log(size).sum())

@@ -85,7 +85,7 @@ class ReferenceErrors:
     def moves(self, observations: Observations, fit: Fit, *, is_full: bool = False) -> tuple[Rows, Floats]:
         """Return the rows of these samples and how far each error moves their unknowns, shape (m, q).
 
-        ``observations``, ``fit``: all samples, with the fall of the reference where the clock is an unknown.
+        ``observations``, ``fit``: all samples, with the derivative of the reference where the clock is an unknown.
         """
         few = observations.take(self.rows)
         part = replace(fit, residuals_nt=fit.residuals_nt[self.rows], weights=fit.weights[self.rows])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.contract import Estimator, Fit, FitSettings
 from magcal_core.calibration.estimators.loss import counted_weights
-from magcal_core.calibration.estimators.scalar_kernel import residuals
+from magcal_core.calibration.estimators.scalar_kernel import geometric_residuals_nt
 from magcal_core.calibration.field_error import FieldError, field_error, field_error_of_matrix
 from magcal_core.calibration.observability.advice import advice, motion_words, vector_weak_words, weak_words
 from magcal_core.calibration.observability.information import (
@@ -43,7 +43,7 @@ from magcal_core.numerics.robust import robust_sigma
 from magcal_core.numerics.vectors import lengths
 from magcal_core.observations import Observations
 from magcal_core.sensor.correction import correct, readings_without
-from magcal_core.sensor.model import inverse_lower, matrix_of_parameters
+from magcal_core.sensor.model import inverse_lower
 from magcal_core.sensor.parameterisation import matrix_jacobian
 from magcal_core.sensor.parameters import Parameters
 
@@ -226,7 +226,7 @@ def matrix_standard_errors(parameters: Parameters, judgement: Judgement, full: F
     """Return the standard errors of the elements of T, shape (3, 3): zero above the diagonal but for a full one."""
     if full is not None:
         return full.standard_errors
-    matrix = matrix_of_parameters(parameters.scale, np.deg2rad(parameters.nonorthogonality_deg))
+    matrix = parameters.matrix
     jacobian = matrix_jacobian(matrix)
     jacobian[3:] = np.rad2deg(jacobian[3:])
     back = np.linalg.inv(jacobian)
@@ -340,13 +340,12 @@ def _with_weight(column: Floats, used: NDArray[np.bool_]) -> Floats:
 def _scalar_information(observations: Observations, fit: Fit) -> tuple[SphereMotion, ScalarInformation]:
     """Return how the field moved over the samples that have weight, and what they determine; nothing is kept of all."""
     parameters = fit.parameters
-    matrix = matrix_of_parameters(parameters.scale, np.deg2rad(parameters.nonorthogonality_deg))
+    matrix = parameters.matrix
     reading = readings_without(observations.regressors, observations.h_nt, parameters)
     lower, used = inverse_lower(matrix), fit.weights > 0
     motion = sphere_motion(reading, fit.weights, parameters.bias_nt, lower)
-    geometric_nt, none = np.empty(len(used)), np.zeros((len(used), 0))
     theta = np.concatenate([lower[np.tril_indices(3)], lower @ parameters.bias_nt])
-    residuals(np.require(reading, np.float64, ["C", "W"]), observations.b_nt, none, none, theta, 0.0, geometric_nt)
+    geometric_nt = geometric_residuals_nt(reading, observations.b_nt, theta)
     noise_nt = robust_sigma(_with_weight(geometric_nt, used))
     step = max(1, int(np.count_nonzero(used)) // ENOUGH)
     few = reading[::step] if used.all() else reading[np.flatnonzero(used)[::step]]

@@ -43,7 +43,7 @@ UNSEEN: Final = Limits(1.6, 4.0)
 SCALE_FAR: Final = 2.5
 """Factor between the mean scale factor and 1 from which the readings are hardly in the unit that was said."""
 REJECTED: Final = Limits(0.08, 0.50)
-"""Share of the rows with a reading that the loss put aside."""
+"""Share of the rows with a reading that the loss rejected."""
 WITHOUT_READING: Final = Limits(0.50, np.inf)
 """Share of the rows that hold no reading: empty, zeros, fill values, stuck, repeated, saturated."""
 
@@ -186,7 +186,7 @@ def _circumstances(evidence: Evidence) -> _Found:
         evidence.rejected_share,
         REJECTED,
         "many_rejected",
-        f"{evidence.rejected_share:.1%} of the readings were put aside by the loss",
+        f"{evidence.rejected_share:.1%} of the readings were rejected by the loss",
     )
     text = f"{evidence.without_reading_share:.1%} of the rows hold no reading"
     found += _graded(evidence.without_reading_share, WITHOUT_READING, "rows_without_reading", text)

@@ -1,4 +1,4 @@
-"""How the Earth really turns: UT1 and polar motion from the IERS table that comes with `astropy-iers-data`."""
+"""How the Earth really rotates: UT1 and polar motion from the IERS table that comes with `astropy-iers-data`."""
 
 from __future__ import annotations
 

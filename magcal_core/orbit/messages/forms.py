@@ -1,4 +1,4 @@
-"""The forms that orbit text may have, one line a form: what is read, and what is told apart and named as not read."""
+"""The forms that orbit text may have, one line a form: what is read, and what is recognised and named as not read."""
 
 from __future__ import annotations
 

@@ -44,6 +44,7 @@ SCOPES = {
     "GET /jobs/{job_id}": "read",
     "GET /jobs/{job_id}/events": "read",
     "GET /jobs/{job_id}/series": "read",
+    "POST /jobs/{job_id}/retry": "operate",
     "POST /jobs/{job_id}/cancel": "operate",
     "GET /parameter-sets": "read",
     "GET /parameter-sets/{parameter_set_id}": "read",

@@ -116,7 +116,7 @@ def test_one_key_cannot_take_every_place_for_uploads(new_service):
 
 def wait_for_uploads(service, count: int) -> None:
     deadline = time.monotonic() + 15
-    while service.server.config.app.state.uploads.in_flight < count:
+    while service.services.admission.in_flight < count:
         assert time.monotonic() < deadline
         time.sleep(0.01)
 

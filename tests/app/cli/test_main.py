@@ -4,6 +4,10 @@ import os
 import subprocess
 import sys
 
+import pytest
+
+SLOW = ("scipy.signal", "scipy.stats", "scipy.optimize", "scipy.interpolate", "pandas", "plotly", "apprise")
+
 
 def started(**environment: str) -> str:
     """Return what a fresh process that has loaded the entry point, and not numpy, says of BLAS."""
@@ -19,3 +23,11 @@ def test_a_process_of_magcal_has_one_thread_of_blas_before_numpy_is_loaded() -> 
 
 def test_another_number_of_threads_is_left_as_it_is() -> None:
     assert started(OPENBLAS_NUM_THREADS="4") == "False 4\n"
+
+
+@pytest.mark.parametrize("entry", ["magcal_core.pipeline", "app.main", "app.jobs.kinds.registry", "app.cli.calibrate"])
+def test_what_every_start_loads_has_no_part_of_scipy_that_takes_seconds(entry: str) -> None:
+    """`scipy.stats` and its kin take as long as all else together; who needs one imports it where it is used."""
+    code = f"import {entry}, sys; print([one for one in {SLOW} if one in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"

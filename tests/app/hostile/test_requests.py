@@ -194,7 +194,7 @@ def test_an_upload_that_falls_silent_is_cut_and_its_place_is_free_again(new_serv
         connection.sendall(request + b"time,")
         answer = connection.recv(65536)
     assert answer.startswith(b"HTTP/1.1 408"), answer
-    assert service.server.config.app.state.uploads.in_flight == 0
+    assert service.services.admission.in_flight == 0
 
 
 def test_only_a_webhook_is_an_address_that_the_service_would_call(service):

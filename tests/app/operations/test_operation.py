@@ -105,7 +105,7 @@ def service(request, new_service, tmp_path, monkeypatch):
 
 @pytest.fixture
 def store(service):
-    return service.server.config.app.state.store
+    return service.services.store
 
 
 def test_an_audit_finds_every_acknowledged_byte_and_no_more(service, store, telemetry):

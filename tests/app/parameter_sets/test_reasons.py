@@ -40,7 +40,7 @@ def test_every_code_of_a_verdict_is_explained() -> None:
         (
             "large_residual",
             {"robust": "tukey"},
-            "With the regressors that unseen blocks bear out",
+            "With the regressors that unseen blocks support",
             {"regressors": "auto"},
         ),
         ("poor_on_unseen_data", {"regressors": ["temperature"]}, "Without regressors", {"regressors": []}),

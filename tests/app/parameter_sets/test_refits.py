@@ -269,7 +269,7 @@ def test_moments_in_a_form_of_another_version_are_not_used(service, fitted):
 def test_a_refit_outlives_the_telemetry_and_an_audit_guards_its_moments(new_service, tmp_path, store):
     url = None if store == "database" else f"file://{tmp_path}/store"
     service = new_service(workers=1, store_url=url)
-    objects = service.server.config.app.state.store
+    objects = service.services.store
     with service.client() as api:
         api.post("/satellites", json={"id": "old"}).raise_for_status()
         api.post("/satellites/old/magnetometers", json={"id": "mgm", "unit": "nT"}).raise_for_status()

@@ -43,7 +43,7 @@ def send(api, number: int) -> dict:
 def test_audits_beside_uploads_and_removals_find_nothing(new_service, request, tmp_path, kind):
     url = request.getfixturevalue("postgres_url") if kind == "postgres" else None
     service = new_service(database_url=url, store_url=f"file://{tmp_path}/objects")
-    store, is_over = service.server.config.app.state.store, threading.Event()
+    store, is_over = service.services.store, threading.Event()
     with service.client() as api:
         prepare(api)
         api.patch("/satellites/a", json={"retention_days": 1}).raise_for_status()
@@ -79,7 +79,7 @@ def test_audits_beside_uploads_and_removals_find_nothing(new_service, request, t
 def history(new_service):
     """A service with three sets of one magnetometer, the second of them in force in place of the first."""
     service = new_service()
-    store = service.server.config.app.state.store
+    store = service.services.store
     with service.client() as api:
         prepare(api)
         session_id = send(api, 0)["id"]

@@ -31,7 +31,7 @@ class World:
         url = service.settings.store_url
         self.folder = None if url is None else Path(url.removeprefix("file://"))
         self.database: Database = service.database
-        self.store: Store = service.server.config.app.state.store
+        self.store: Store = service.services.store
         self.satellite = satellite
         self.api: httpx2.Client = service.client()
         self.api.post("/satellites", json={"id": satellite}).raise_for_status()

@@ -67,7 +67,7 @@ def test_it_takes_a_look_first_and_leaves_nothing_but_the_trail(service):
     with service.database.read() as session:
         assert [key for key in session.scalars(select(Blob.key)) if "gone" in key] == []
         assert session.scalars(select(ObjectToRemove)).all() == []
-    assert audit(service.database, service.server.config.app.state.store).findings == ()
+    assert audit(service.database, service.services.store).findings == ()
 
 
 def test_only_an_admin_removes_and_only_what_was_seen(service):

@@ -242,8 +242,8 @@ def test_after_a_restore_of_the_server_one_push_sends_what_is_missing(new_servic
     with restored.client(key) as api:
         assert len(api.get("/sessions").json()["items"]) == 4
     receipts = [json.loads(line) for line in (folder / "sent" / "receipts.ndjson").read_text().splitlines()]
-    assert {one["database"] for one in receipts} == {restored.server.config.app.state.database_id}
-    store = restored.server.config.app.state.store
+    assert {one["database"] for one in receipts} == {restored.services.database_id}
+    store = restored.services.store
     assert audit(restored.database, store, [folder / "sent" / "receipts.ndjson"]).findings == ()
     assert push(folder, "a", restored.url, key).stdout == ""
 
@@ -252,7 +252,7 @@ def test_the_audit_finds_what_a_receipt_has_and_the_server_has_not(new_service, 
     service = new_service()
     receipt = {"name": "p.csv", "sha256": "0" * 64, "session_id": "1", "satellite": "a", "magnetometer": "m"}
     (tmp_path / "receipts.ndjson").write_text(json.dumps(receipt) + "\n")
-    found = audit(service.database, service.server.config.app.state.store, [tmp_path / "receipts.ndjson"]).findings
+    found = audit(service.database, service.services.store, [tmp_path / "receipts.ndjson"]).findings
     assert [one.code for one in found] == ["receipt"]
 
 

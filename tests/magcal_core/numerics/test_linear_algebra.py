@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from magcal_core.numerics.linear_algebra import is_positive_definite
+from magcal_core.numerics.linear_algebra import (
+    floored_inverse,
+    is_positive_definite,
+    scaled_condition,
+    scaled_inverse,
+    scaled_solution,
+    unit_diagonal,
+)
 
 
 def of_pivot(smallest: float) -> np.ndarray:
@@ -26,3 +33,40 @@ def test_a_column_that_is_no_number_or_none_at_all_determines_nothing(wrong):
     normal = np.eye(3)
     normal[1, 1] = wrong
     assert not is_positive_definite(normal)
+
+
+UNITS = np.array([1e-12, 1.0, 1e9, 1e3])
+
+
+@pytest.fixture
+def normal() -> np.ndarray:
+    """A well conditioned matrix in units that span 21 decades."""
+    inner = np.array([[1.0, 0.3, 0.1, 0.0], [0.3, 1.0, 0.2, 0.1], [0.1, 0.2, 1.0, 0.4], [0.0, 0.1, 0.4, 1.0]])
+    return inner * np.outer(UNITS, UNITS)
+
+
+def test_inverse_and_solution_lose_no_digits_to_units(normal):
+    """The scaled matrix has a condition of 3: sixteen digits less one are left, whatever the units."""
+    known = np.array([1.0, -2.0, 3.0, 0.5]) / UNITS
+    inverse, right = scaled_inverse(normal), normal @ known
+    np.testing.assert_allclose((inverse @ normal) * np.outer(UNITS, 1.0 / UNITS), np.eye(4), atol=1e-14)
+    np.testing.assert_allclose(scaled_solution(normal, right), known, rtol=1e-13)
+    both = scaled_solution(normal, np.column_stack([right, 2.0 * right]))
+    np.testing.assert_allclose(both[:, 1], 2.0 * both[:, 0], rtol=1e-14)
+    np.testing.assert_allclose(both[:, 0], scaled_solution(normal, right), rtol=1e-14)
+    np.testing.assert_allclose(floored_inverse(normal, 1e-12), inverse, rtol=1e-12)
+
+
+def test_the_condition_is_that_of_unit_columns(normal):
+    scaled, size = unit_diagonal(normal)
+    np.testing.assert_allclose(np.diag(scaled), 1.0)
+    np.testing.assert_allclose(size, UNITS)
+    assert scaled_condition(normal) == pytest.approx(np.linalg.cond(scaled))
+    assert scaled_condition(normal) < 4.0
+
+
+def test_a_floor_bounds_what_an_inverse_says_of_what_is_not_determined():
+    """Two columns that are one: the eigenvalue 0 counts as the floor."""
+    found = floored_inverse(np.array([[4.0, 4.0], [4.0, 4.0]]), 0.1)
+    # Eigenvalues 2 and 0 of [[1, 1], [1, 1]]: 1/2 along (1, 1), 1/0.1 along (1, -1), and 4 for the diagonal.
+    np.testing.assert_allclose(found, np.array([[0.25 + 5.0, 0.25 - 5.0], [0.25 - 5.0, 0.25 + 5.0]]) / 4.0)

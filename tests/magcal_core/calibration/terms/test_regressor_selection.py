@@ -1,4 +1,4 @@
-"""Regressors: what unseen blocks bear out enters, what they do not stays out."""
+"""Regressors: what unseen blocks support enters, what they do not stays out."""
 
 from dataclasses import replace
 

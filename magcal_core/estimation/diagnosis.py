@@ -17,7 +17,7 @@ from magcal_core.data_quality import DataQuality
 from magcal_core.errors import EstimationError, FrameError, MagcalError, NotObservableError, WrongInputError
 from magcal_core.estimation.clock import NEAR_S
 from magcal_core.estimation.estimate import Estimate
-from magcal_core.estimation.judging import Judged
+from magcal_core.estimation.judgement import Judged
 from magcal_core.orbit import Orbit
 from magcal_core.reference.referenced_samples import Referenced
 
