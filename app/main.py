@@ -119,6 +119,7 @@ def create_app(settings: Settings, *, workers: int) -> FastAPI:
         version="1",
         redoc_url=None,
         lifespan=_lifespan,
+        generate_unique_id_function=lambda route: route.name,
         telemetry={
             "tracing": False,
             "metrics": False,

@@ -165,7 +165,9 @@ def _regressor(samples: Samples, is_used: NDArray[np.bool_], name: str) -> Float
     if is_step(source):
         columns[source] = step_column(name, samples.t_utc)
     if is_response(name):
-        return regressor_of(name, columns, samples.h_nt[is_used], t_s[is_used])
+        # A slope reaches over readings that this fit leaves out, never over those that are none.
+        good = samples.is_used
+        return _own(regressor_of(name, columns, samples.h_nt[good], t_s[good])[is_used[good]])
     if source not in columns:
         known = ", ".join([TIME_REGRESSOR, *samples.housekeeping, *RESPONSES])
         raise OptionError(f"no housekeeping column {source!r}; there are {known}")

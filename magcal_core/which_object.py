@@ -6,7 +6,7 @@ The session is calibrated with the orbits of each object in turn, its clock as i
 other along one track, and an estimated clock would make one of the other. The objects are ranked by their residual,
 1.4826 times the median of its size. The first is distinguished from the others where its residuals are the smaller
 ones in stretches of equal time beyond what chance does: the mean of the twelve differences is more than three times
-its error.
+its error, each residual counted up to five scales of the first's, so that bad rows decide nothing.
 """
 
 from __future__ import annotations
@@ -33,9 +33,12 @@ EXPLAINS: Final = 0.02
 BLOCKS: Final = 12
 SURE: Final = 3.0
 """Standard errors by which the first object must be better than another one."""
+FAR: Final = 5.0
+"""Scales of the first object's residuals up to which a residual counts in that comparison."""
 _OPTIONS: Final[Mapping[str, object]] = {
-    "method": "scalar", "robust": "tukey", "noise_model": "none", "time_offset": "none", "regressors": (),
+    "method": "scalar", "noise_model": "none", "time_offset": "none", "regressors": (),
 }  # fmt: skip
+"""What differs from the defaults of a calibration; its loss is theirs: none where rows are clean under an orbit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +155,9 @@ class _Tried:
         """Return the match with the standard errors by which it is behind the first."""
         if self.residuals_nt is None or first.residuals_nt is None:
             return self.match
-        worse = np.abs(self.residuals_nt) - np.abs(first.residuals_nt)
+        # What lies far under both orbits is a bad row: it says nothing of either.
+        most_nt = FAR * max(first.scale_nt, 1e-9 * first.field_nt)
+        worse = np.minimum(np.abs(self.residuals_nt), most_nt) - np.minimum(np.abs(first.residuals_nt), most_nt)
         means = np.array([np.nanmean(block) for block in np.array_split(worse, BLOCKS) if np.isfinite(block).any()])
         error = float(np.std(means, ddof=1) / np.sqrt(len(means))) if len(means) > 1 else np.inf
         behind = float(np.mean(means) / error) if error > 0.0 else 0.0

@@ -135,8 +135,8 @@ FAULTS: Final[dict[str, Fault]] = {
         f"{UNCERTAINTY}/low_frequencies.py", "np.maximum(own - taken, ", "np.maximum(own, ",
         (f"{CORE_TESTS}/uncertainty/test_low_frequencies.py",),
     ),
-    "cosines-of-other-length": Fault(
-        f"{UNCERTAINTY}/low_frequencies.py", "np.sqrt(2.0 / m) * np.cos", "np.sqrt(1.0 / m) * np.cos",
+    "size-of-a-memory": Fault(
+        f"{UNCERTAINTY}/low_frequencies.py", "np.sqrt(rest * sizes[:, None] / count)", "np.sqrt(rest / count)",
         (f"{CORE_TESTS}/uncertainty/test_low_frequencies.py",),
     ),
     "angles-of-the-field-error": Fault(

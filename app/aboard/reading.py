@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import base64
 import csv
 import io
 import json
 import math
 import re
+import struct
 from collections.abc import Callable, Iterator, Mapping
 from decimal import Decimal, InvalidOperation
 from typing import Final
 
 import yaml
 
+from app.parameter_sets.fprime_file import FPRIME_FILE, records_of
 from magcal_core.errors import InputError
 
 MOST_NUMBERS: Final = 2000
@@ -25,14 +28,21 @@ GOMSPACE_LIST: Final = re.compile(
 )
 
 
+FPRIME_ORDER: Final = ("mgm_offset", "mgm_scale", "mgm_rotation")
+"""What the first ids are of, in the order of the export; those of the regressors follow."""
+MOST_REGRESSORS: Final = 64
+
+
 class ReadBackError(InputError):
     """What was read back is not in the form that it is said to be in, or has no numbers of a parameter set."""
 
     code = "read_back"
 
 
-def read_back(form: str, content: str) -> tuple[str | None, dict[str, Decimal]]:
+def read_back(form: str, content: str, first_id: int = 0) -> tuple[str | None, dict[str, Decimal]]:
     """Return the convention that ``content`` names, if it does, and its numbers: name -> value as written.
+
+    A parameter file of F Prime is in base64, and has the numbers under ids from ``first_id`` on.
 
     Raises
     ------
@@ -40,7 +50,7 @@ def read_back(form: str, content: str) -> tuple[str | None, dict[str, Decimal]]:
         It cannot be read as ``form``, or has no number, one that is not finite, or more than a parameter set has.
     """
     try:
-        convention, pairs = READERS[form](content)
+        convention, pairs = _fprime_file(content, first_id) if form == FPRIME_FILE else READERS[form](content)
         numbers: dict[str, Decimal] = {}
         for name, text in pairs:
             if len(numbers) >= MOST_NUMBERS:
@@ -144,6 +154,25 @@ def _fprime(content: str) -> tuple[str | None, Pairs]:
     return "on-board", (pair for pair in pairs if pair[0].startswith("mgm_"))
 
 
+def _fprime_file(content: str, first_id: int = 0) -> tuple[str | None, Pairs]:
+    return "on-board", _fprime_numbers(base64.b64decode(content, validate=True), first_id)
+
+
+def _fprime_numbers(content: bytes, first_id: int) -> Pairs:
+    """Yield the numbers of a parameter file, F32 or F64; a regressor, whose name no file has, by its number."""
+    for number, value in records_of(content):
+        place = number - first_id
+        name = FPRIME_ORDER[place] if 0 <= place < len(FPRIME_ORDER) else f"mgm_reg_{place - len(FPRIME_ORDER)}"
+        count = 9 if name == "mgm_rotation" else 3
+        kind = {4 * count: "f", 8 * count: "d"}.get(len(value))
+        if place < 0 or place >= len(FPRIME_ORDER) + MOST_REGRESSORS or kind is None:
+            continue
+        for i, one in enumerate(struct.unpack(f">{count}{kind}", value)):
+            if not math.isfinite(one):
+                raise ReadBackError("a value is not a finite number")
+            yield f"{name}[{i}]", repr(one)
+
+
 READERS: Final[Mapping[str, Callable[[str], tuple[str | None, Pairs]]]] = {
     "json": _json,
     "csv": _csv,
@@ -151,5 +180,6 @@ READERS: Final[Mapping[str, Callable[[str], tuple[str | None, Pairs]]]] = {
     "c": _c,
     "gomspace": _gomspace,
     "fprime": _fprime,
+    FPRIME_FILE: _fprime_file,
 }
 """Format of an export -> its reader."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from decimal import Decimal
@@ -19,6 +20,7 @@ from app.access.caller import Caller
 from app.parameter_sets.export import exported
 from app.parameter_sets.export_formats import EXPORTERS
 from app.parameter_sets.repository import ParameterSetRepository
+from app.parameter_sets.schemas import ExportQuery
 from app.parameter_sets.tables import ParameterSet
 from app.storage.database import new_id, utc_now
 
@@ -51,11 +53,29 @@ class AboardRepository:
         row = self._sets.get(parameter_set_id)
         if body.format is None or body.content is None:
             return self._keep(row, str(body.state), None, None)
-        named, aboard = read_back(body.format, body.content)
+        named, aboard = read_back(body.format, body.content, body.first_id)
         convention = named or body.convention or "exact"
         found = self._compared(row, body.format, convention, aboard)
         other = self._match(row, body.format, convention, aboard) if found.state == "different" else None
         return self._keep(row, found.state, found, other)
+
+    def export(self, parameter_set_id: str, query: ExportQuery) -> tuple[str, str | bytes, bool]:
+        """Return media type and content of an export, and whether it is the first step of a set in force on its way."""
+        row = self._sets.get(parameter_set_id)
+        content = exported(
+            self._sets.read([row])[0], query.convention, query.format, first_id=query.first_id, has_crc=query.crc
+        )
+        return (*content, self._is_first_step(row))
+
+    def note_exported(self, parameter_set_id: str) -> None:
+        """Note that a set in force was exported, where nothing is known of its way yet."""
+        row = self._sets.get(parameter_set_id)
+        if self._is_first_step(row):
+            self._keep(row, "exported", None, None)
+
+    def _is_first_step(self, row: ParameterSet) -> bool:
+        known = select(AboardReport.id).where(AboardReport.parameter_set_id == row.id).limit(1)
+        return row.status == "active" and self.session.scalar(known) is None
 
     def history(self, parameter_set_id: str) -> list[AboardRead]:
         """Return the reports on a parameter set, the newest first."""
@@ -65,7 +85,8 @@ class AboardRepository:
 
     def _compared(self, row: ParameterSet, form: str, convention: str, aboard: Mapping[str, Decimal]) -> Comparison:
         """Return how the numbers of an export that is read the same way stand to those that were read back."""
-        _, text = exported(self._sets.read([row])[0], convention, form)
+        _, content = exported(self._sets.read([row])[0], convention, form)
+        text = content if isinstance(content, str) else base64.b64encode(content).decode()
         numbers = {name: float(value) for name, value in read_back(form, text)[1].items() if flies(name)}
         common = numbers.keys() & aboard.keys()
         if len(common) < FEWEST_NUMBERS:

@@ -19,6 +19,7 @@ class AboardBody(Body):
     format: Form | None = None
     content: str | None = Field(None, min_length=1, max_length=1 << 18)
     convention: str | None = Field(None, max_length=32, description="Where the content does not name it; else `exact`.")
+    first_id: int = Field(0, ge=0, le=0xFFFF_FF00, description="`fprime-dat`, in base64: the id of MGM_OFFSET.")
     state: Literal["exported", "uploaded"] | None = None
 
     @model_validator(mode="after")

@@ -22,6 +22,8 @@ DATA_STALE_DAYS: Final = 30.0
 ORBIT_STALE_DAYS: Final = 7.0
 STATION_SILENT_HOURS: Final = 72.0
 IDS_AT_ONCE: Final = 500
+LOOKED_AT: Final = 100
+"""Newest orbits of a satellite among which one of its own is looked for."""
 POSITIONED: Final = frozenset({"ref_b", "ref_bx", "ref_eci_x", "x_km"})
 """Columns that make an orbit unnecessary."""
 
@@ -71,6 +73,17 @@ class OrbitFacts:
     until: datetime | None
     norad_id: str | None
     created_at: datetime
+    instead: OwnOrbit | None = None
+    """Where it names another object: the newest orbit that names the satellite."""
+
+
+@dataclass(frozen=True, slots=True)
+class OwnOrbit:
+    """An orbit of the satellite that names the satellite."""
+
+    id: str
+    epoch: datetime
+    until: datetime | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,13 +260,36 @@ def _orbits(session: Session, of: _Reach) -> dict[str, OrbitFacts]:
     newest = first.order_by(other.epoch.desc(), other.id.desc()).limit(1).correlate(Satellite).scalar_subquery()
     row_of = OrbitRow
     statement = (
-        select(Satellite.id, row_of.id, row_of.format, row_of.epoch, row_of.until, row_of.details, row_of.created_at)
+        select(
+            Satellite.id, Satellite.norad_id, row_of.id, row_of.format, row_of.epoch, row_of.until, row_of.details,
+            row_of.created_at,
+        )
         .select_from(Satellite).join(row_of, row_of.id == newest).where(*of(Satellite.id))
     )  # fmt: skip
-    return {
-        row[0]: OrbitFacts(row[1], row[2], row[3], row[4], _norad_id(row[5]), row[6])
-        for row in session.execute(statement)
-    }
+    found = {}
+    for satellite_id, own, orbit_id, form, epoch, until, details, created in session.execute(statement):
+        orbit = OrbitFacts(orbit_id, form, epoch, until, _norad_id(details), created)
+        if is_other_object(own, orbit.norad_id):
+            orbit = replace(orbit, instead=_own_orbit(session, satellite_id, own))
+        found[satellite_id] = orbit
+    return found
+
+
+def is_other_object(own: str | None, norad_id: str | None) -> bool:
+    """Return whether two catalogue numbers are there and differ; 00900 is 900."""
+    return None not in {own, norad_id} and str(own).strip().lstrip("0") != str(norad_id).strip().lstrip("0")
+
+
+def _own_orbit(session: Session, satellite_id: str, own: str | None) -> OwnOrbit | None:
+    """Return the newest orbit in use that names the satellite, None where none of the newest ones does."""
+    in_use = (OrbitRow.satellite_id == satellite_id, OrbitRow.withdrawn_at.is_(None))
+    columns = (OrbitRow.id, OrbitRow.epoch, OrbitRow.until, OrbitRow.details)
+    rows = session.execute(select(*columns).where(*in_use).order_by(OrbitRow.epoch.desc()).limit(LOOKED_AT))
+    for orbit_id, epoch, until, details in rows:
+        norad_id = _norad_id(details)
+        if norad_id is not None and not is_other_object(own, norad_id):
+            return OwnOrbit(orbit_id, epoch, until)
+    return None
 
 
 def _norad_id(details: Mapping[str, object]) -> str | None:

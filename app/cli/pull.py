@@ -38,6 +38,8 @@ def _columns(text: str | None) -> dict[str, str]:
               "[default: the magnetometer's columns]")  # fmt: skip
 @click.option("--dataset", "--instance", "dataset", help="Yamcs' instance, HAPI's dataset, SatNOGS' NORAD id.")
 @click.option("--since", help="Where the first pull begins, ISO 8601 with a zone.")
+@click.option("--history", is_flag=True, help="Yamcs: the history of each parameter, page by page, not the export.  "
+              "[default: where there is no export]")  # fmt: skip
 @click.option("--token", envvar="MAGCAL_PULL_TOKEN", help="The archive's token; better in MAGCAL_PULL_TOKEN.")
 @click.option("--once", is_flag=True, help="Pull what there is now, and exit.")
 def command(
@@ -49,6 +51,7 @@ def command(
     columns: str | None,
     dataset: str | None,
     since: str | None,
+    history: bool,
     token: str | None,
     once: bool,
 ) -> None:
@@ -65,7 +68,7 @@ def command(
         begin = None if since is None else instant(since)
     except ValueError as error:
         raise click.BadParameter("want a time in ISO 8601, such as 2026-11-22T10:00:00Z") from error
-    wanted = Wanted(base_url, _columns(columns), dataset, begin, token)
+    wanted = Wanted(base_url, _columns(columns), dataset, begin, token, history)
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())

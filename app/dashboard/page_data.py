@@ -44,9 +44,9 @@ def of_overview(fleet: Fleet) -> Bringer:
     """Return what brings what needs attention, and the fleet."""
 
     def ask(caller: Caller, database: Database, _texts: Texts) -> Answers:
-        entries = attention.list_attention(AttentionQuery(limit=MOST_LINES, total=True), caller, database, fleet)
-        rows = attention.list_fleet(FleetQuery(limit=MOST_ROWS), caller, database, fleet)
-        first = attention.list_fleet(FleetQuery(limit=1), caller, database, fleet)
+        entries = attention.attention_now(AttentionQuery(limit=MOST_LINES, total=True), caller, database, fleet)
+        rows = attention.fleet_now(FleetQuery(limit=MOST_ROWS), caller, database, fleet)
+        first = attention.fleet_now(FleetQuery(limit=1), caller, database, fleet)
         return {
             f"/attention?limit={MOST_LINES}&total=true": entries.model_dump_json(),
             f"/fleet?limit={MOST_ROWS}&sort=worst": rows.model_dump_json(),
@@ -60,7 +60,7 @@ def counts_of(fleet: Fleet, caller: Caller, database: Database) -> AttentionCoun
     """Return how much needs attention, for the header; None for a key that may not read."""
     if not caller.may(Scope.READ):
         return None
-    return attention.list_attention(AttentionQuery(limit=1), caller, database, fleet).counts
+    return attention.attention_now(AttentionQuery(limit=1), caller, database, fleet).counts
 
 
 def of_satellite(satellite_id: str) -> Bringer:
@@ -78,10 +78,15 @@ def of_satellite(satellite_id: str) -> Bringer:
 
 
 def of_session(session_id: str) -> Bringer:
-    """Return what brings a session."""
+    """Return what brings a session and the newest calibration of it, which says why it failed where it did."""
 
     def ask(caller: Caller, database: Database, _texts: Texts) -> Answers:
-        return {f"/sessions/{session_id}": sessions.get_session(session_id, caller, database).model_dump_json()}
+        session = sessions.get_session(session_id, caller, database)
+        newest = jobs.list_jobs(JobQuery(kind="calibration", limit=1, session=session_id), caller, database)
+        return {
+            f"/sessions/{session_id}": session.model_dump_json(),
+            f"/jobs?kind=calibration&limit=1&session={session_id}": newest.model_dump_json(),
+        }
 
     return ask
 

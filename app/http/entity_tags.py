@@ -5,6 +5,7 @@ The same request for such an answer again, while nothing was committed to the da
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections import OrderedDict
 from collections.abc import Mapping
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from fastapi import Request, Response
+from pydantic import BaseModel
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.http.services import HttpServices, services_of
@@ -38,6 +40,13 @@ def is_known(request: Request, tag: str) -> bool:
 def tagged_json(content: bytes, tag: str) -> Response:
     """Return an answer that its client may keep, as long as it asks each time whether it is still so."""
     return Response(content, media_type="application/json", headers=_headers(tag))
+
+
+def revalidated(request: Request, answer: BaseModel) -> Response:
+    """Return ``answer`` under the tag of its content, or that its client has that already."""
+    content = answer.model_dump_json().encode()
+    tag = f'"{hashlib.sha256(content).hexdigest()[:32]}"'
+    return unchanged(tag) if is_known(request, tag) else tagged_json(content, tag)
 
 
 def unchanged(tag: str) -> Response:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from importlib import resources
 from typing import TYPE_CHECKING, Final
 
 from fastapi import APIRouter
@@ -10,6 +13,7 @@ from fastapi.dependencies.models import Dependant
 from fastapi.routing import APIRoute
 from pydantic import JsonValue, TypeAdapter
 
+from app.http.openapi_examples import example_of
 from app.problems import Problem
 
 if TYPE_CHECKING:
@@ -61,6 +65,65 @@ def _describe(made: Document, prefix: str, routers: Sequence[APIRouter]) -> None
                 "description": description,
                 "content": {"application/problem+json": {"schema": {"$ref": REFERENCE}}},
             }
+    for operations in paths.values():
+        for one in operations.values() if isinstance(operations, dict) else ():
+            _explain_operation(one)
+    for name, schema in schemas.items():
+        _explain_schema(name, schema)
+    for schema in schemas.values():
+        if isinstance(schema, dict) and schema.get("type") == "object":
+            schema["examples"] = [example_of(schema, schemas)]
+
+
+@cache
+def words() -> Mapping[str, str]:
+    """Return what properties and parameters mean, by name, where their own place does not say it."""
+    text = (resources.files("app.http") / "openapi_words.json").read_text(encoding="utf-8")
+    found: dict[str, str] = json.loads(text)
+    return found
+
+
+def _explain_operation(operation: JsonValue) -> None:
+    """Give an operation its one-line summary, its parameters a meaning, and bodies without a schema one."""
+    if not isinstance(operation, dict):
+        return
+    described = operation.get("description")
+    if isinstance(described, str):
+        operation["summary"] = described.partition("\n")[0].partition(": ")[0].rstrip(".")
+    parameters = operation.get("parameters")
+    for one in parameters if isinstance(parameters, list) else []:
+        if isinstance(one, dict) and not one.get("description") and str(one["name"]) in words():
+            one["description"] = words()[str(one["name"])]
+    for part, of_json in (("requestBody", False), ("responses", True)):
+        owner = operation.get(part)
+        owners = [owner] if part == "requestBody" else list(owner.values()) if isinstance(owner, dict) else []
+        for one in owners:
+            _give_schemas(one, of_json=of_json)
+
+
+def _give_schemas(owner: JsonValue, *, of_json: bool) -> None:
+    """Say of content without a schema that it is bytes, text, or with ``of_json`` an object of JSON."""
+    content = owner.get("content") if isinstance(owner, dict) else None
+    for kind, media in content.items() if isinstance(content, dict) else ():
+        if not isinstance(media, dict) or media.get("schema"):
+            continue
+        media.pop("itemSchema", None)  # a word of OpenAPI 3.2, which a document of 3.1 may not have
+        is_json = kind == "application/json" and of_json
+        is_text = kind.startswith("text/") or kind == "application/yaml"
+        bytes_or_text: Document = {"type": "string"} if is_text else {"type": "string", "format": "binary"}
+        media["schema"] = {"type": "object"} if is_json else bytes_or_text
+
+
+def _explain_schema(name: str, schema: JsonValue) -> None:
+    """Give a schema, and each of its properties, a description where it has none."""
+    if not isinstance(schema, dict):
+        return
+    if "description" not in schema:
+        schema["description"] = "Any value of JSON." if name == "JsonValue" else "A part of a list, with its cursor."
+    properties = schema.get("properties")
+    for own, one in properties.items() if isinstance(properties, dict) else ():
+        if isinstance(one, dict) and "description" not in one and own in words():
+            one["description"] = words()[own]
 
 
 def _calls(prefix: str, routers: Sequence[APIRouter]) -> Iterator[tuple[str, str, APIRoute]]:

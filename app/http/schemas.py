@@ -20,6 +20,7 @@ from pydantic import (
     GetJsonSchemaHandler,
     PlainSerializer,
     StringConstraints,
+    WithJsonSchema,
 )
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, PydanticKnownError, core_schema
@@ -108,7 +109,12 @@ class OneOf:
         raise PydanticKnownError("literal_error", {"expected": f"{', '.join(first)} or {last}" if first else last})
 
 
-UtcTime = Annotated[datetime, BeforeValidator(parse_utc), PlainSerializer(utc_text, return_type=str)]
+UtcTime = Annotated[
+    datetime,
+    BeforeValidator(parse_utc),
+    PlainSerializer(utc_text, return_type=str),
+    WithJsonSchema({"type": "string", "format": "date-time"}),
+]
 Name = Annotated[str, StringConstraints(min_length=1, max_length=MAX_NAME), AfterValidator(_clean_text)]
 Slug = Annotated[str, StringConstraints(pattern=r"^[a-z0-9][a-z0-9._-]{0,62}$")]
 """Name of a satellite or magnetometer in addresses: lower case, digits, dot, dash, underscore."""

@@ -27,7 +27,7 @@ class Stopping:
     """
 
     def __init__(self) -> None:
-        self._ask: Callable[[], bool] = bool
+        self._ask: Callable[[], bool] = lambda: False
 
     def learn_from(self, ask: Callable[[], bool]) -> None:
         """Let ``ask`` say it from now on."""

@@ -72,7 +72,7 @@ TELEMETRY_BODY: Final = {
 }
 
 
-COLUMNS: Final = {"type": "object", "additionalProperties": {"type": "array"}}
+COLUMNS: Final = {"type": "object", "additionalProperties": {"type": "array", "items": {}}}
 
 
 TABLES: Final[dict[int | str, dict[str, Any]]] = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 from fastapi import APIRouter, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
@@ -19,15 +19,12 @@ from app.http.services import HttpServices, services_of
 from app.http.strict_json import StrictJsonRoute
 from app.http.tables import TABLES, TELEMETRY_BODY, WRITTEN_TYPES, table_response, wanted_format, write_table
 from app.parameter_sets.correction import Correction
-from app.parameter_sets.export import exported
-from app.parameter_sets.export_formats import EXPORTERS
 from app.parameter_sets.json_listing import ListingServices, found, listed, part, summaries
 from app.parameter_sets.reasons import Subject, explained
 from app.parameter_sets.repository import ParameterSetRepository
 from app.parameter_sets.schemas import (
     ActivateBody,
     ApplyQuery,
-    ExportQuery,
     ParameterSetQuery,
     ParameterSetRead,
     ParameterSetSummary,
@@ -49,7 +46,6 @@ router = APIRouter(route_class=StrictJsonRoute, prefix="/parameter-sets", tags=[
 
 READINGS: Final = re.compile(r"time|[bq][wxyz]|ref_.*|[xyz]_km")
 """Columns that are no housekeeping."""
-EXPORTS: Final[dict[int | str, dict[str, Any]]] = {200: {"content": {one.media_type: {} for one in EXPORTERS.values()}}}
 
 
 @router.get("", response_model=Page[ParameterSetRead] | Page[ParameterSetSummary], responses=UNCHANGED)
@@ -117,18 +113,6 @@ def get_residuals(
         row = ParameterSetRepository(session, caller).get(parameter_set_id)
         content = store.get(session, residuals_key(row.id), row.residuals_sha256)
     return table_response(write_table(from_bytes(content), form), form, f"residuals-{parameter_set_id}")
-
-
-@router.get("/{parameter_set_id}/export", response_class=Response, responses=EXPORTS)
-def export_parameter_set(
-    parameter_set_id: str, query: Annotated[ExportQuery, Query()], caller: Reader, db: Db
-) -> Response:
-    """Write a parameter set for flight software."""
-    with db.read() as session:
-        sets = ParameterSetRepository(session, caller)
-        record = sets.read([sets.get(parameter_set_id)])[0]
-    media_type, text = exported(record, query.convention, query.format)
-    return Response(text, media_type=media_type)
 
 
 @router.post("/{parameter_set_id}/activate")

@@ -9,15 +9,18 @@ import numpy as np
 from app.http.schemas import utc_text
 from app.parameter_sets.correction import rotation_of
 from app.parameter_sets.export_formats import EXPORTERS
-from app.parameter_sets.flight_tables import Document
+from app.parameter_sets.flight_tables import Document, flight_numbers
+from app.parameter_sets.fprime_file import FPRIME_FILE, parameter_file
 from app.parameter_sets.schemas import ParameterSetRead
 from app.parameter_sets.worked_example import COLUMN, formula, rotation_of_symmetric, worked
 from magcal_core.sensor.conventions import convert
 from magcal_core.sensor.parameters import Parameters
 
 
-def exported(record: ParameterSetRead, convention: str, form: str) -> tuple[str, str]:
-    """Return the media type and the text of a parameter set in ``convention`` and in the format ``form``.
+def exported(
+    record: ParameterSetRead, convention: str, form: str, *, first_id: int = 0, has_crc: bool = True
+) -> tuple[str, str | bytes]:
+    """Return the media type and the content of a parameter set in ``convention`` and in the format ``form``.
 
     The tables of flight software have one convention, ``on-board``, whatever is asked for.
 
@@ -27,7 +30,10 @@ def exported(record: ParameterSetRead, convention: str, form: str) -> tuple[str,
         The convention is unknown.
     """
     chosen = EXPORTERS[form]
-    return chosen.media_type, chosen.write(document_of(record, chosen.convention or convention))
+    document = document_of(record, chosen.convention or convention)
+    if form == FPRIME_FILE:
+        return chosen.media_type, parameter_file(flight_numbers(document), first_id, has_crc=has_crc)
+    return chosen.media_type, chosen.write(document)
 
 
 def document_of(record: ParameterSetRead, convention: str) -> Document:

@@ -13,7 +13,8 @@ from typing import Final
 
 import yaml
 
-from app.parameter_sets.flight_tables import ON_BOARD, Document, fprime_parameters, gomspace_table
+from app.parameter_sets.flight_tables import ON_BOARD, Document, flight_numbers, fprime_parameters, gomspace_table
+from app.parameter_sets.fprime_file import FPRIME_FILE, parameter_file
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +25,7 @@ class ExportFormat:
     """
 
     media_type: str
-    write: Callable[[Document], str]
+    write: Callable[[Document], str | bytes]
     convention: str | None = None
     is_single: bool = False
 
@@ -106,6 +107,10 @@ def _macro(name: object) -> str:
     return re.sub(r"[^A-Z0-9]", "_", str(name).upper())
 
 
+def _fprime_file(document: Document) -> bytes:
+    return parameter_file(flight_numbers(document), 0, has_crc=True)
+
+
 EXPORTERS: Final[Mapping[str, ExportFormat]] = {
     "json": ExportFormat("application/json", _json),
     "csv": ExportFormat("text/csv; charset=utf-8", _csv),
@@ -113,5 +118,6 @@ EXPORTERS: Final[Mapping[str, ExportFormat]] = {
     "c": ExportFormat("text/x-c; charset=utf-8", _c_header),
     "gomspace": ExportFormat("text/plain; charset=utf-8", gomspace_table, ON_BOARD, is_single=True),
     "fprime": ExportFormat("application/json", fprime_parameters, ON_BOARD, is_single=True),
+    FPRIME_FILE: ExportFormat("application/octet-stream", _fprime_file, ON_BOARD, is_single=True),
 }
 """Name -> format."""

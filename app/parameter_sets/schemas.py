@@ -143,6 +143,10 @@ class ExportQuery(Filter):
 
     convention: str = Field("exact", max_length=32)
     format: Annotated[str, OneOf(EXPORTERS)] = "json"
+    first_id: int = Field(0, ge=0, le=0xFFFF_FF00, description="`fprime-dat`: the id of MGM_OFFSET; the others follow.")
+    crc: bool = Field(
+        True, description="`fprime-dat`: with the CRC of the records before them; older F Primes have none."
+    )
 
 
 class ApplyQuery(TableQuery):

@@ -17,7 +17,7 @@ from magcal_core.calibration.refit.moments import MAX_COLUMNS, FitMoments, momen
 from magcal_core.calibration.result import Calibration
 from magcal_core.calibration.terms.clock import AUTO_AGE_DAYS, ClockFit, with_rates
 from magcal_core.calibration.terms.locked_clock import LockedClock
-from magcal_core.calibration.terms.regressor_selection import usable_columns
+from magcal_core.calibration.terms.regressor_selection import untold_terms, usable_columns
 from magcal_core.calibration.uncertainty.bootstrap import bootstrap
 from magcal_core.calibration.verdict.assessment import Judgement, extras_of, matrix_standard_errors
 from magcal_core.errors import IndexRangeError, OrbitMissingError
@@ -260,6 +260,20 @@ def _fit_warnings(estimate: Estimate) -> list[str]:
     return [*found, trust.full.warning, *trust.full.terms.warnings]
 
 
+def _untold(estimate: Estimate) -> list[str]:
+    """Return what `auto` did not take although unseen blocks bear it out."""
+    plain_nt = {row.regressors: row.cross_validated_rms_nt for row in estimate.ablation}
+    found = []
+    for row in untold_terms(estimate.ablation, tuple(estimate.fit.parameters.regressors)):
+        before_nt, after_nt = plain_nt.get(row.regressors[:-1]), row.cross_validated_rms_nt
+        falls = "" if before_nt is None or after_nt is None else f" from {before_nt:.1f} to {after_nt:.1f} nT"
+        found.append(
+            f"term_needs_another_session: {row.regressors[-1]} lowers the residual on unseen blocks{falls} and was not "
+            "taken: this session alone does not tell it from a slow change of the bias"
+        )
+    return found
+
+
 def _warnings(estimate: Estimate, judged: Judged) -> tuple[str, ...]:
     """Return the warnings of the reference, the rows, the fit and the residuals, in that order."""
     judgement = judged.judgement
@@ -282,6 +296,8 @@ def _warnings(estimate: Estimate, judged: Judged) -> tuple[str, ...]:
             for one in estimate.candidates
             if one.excluded is not None
         ]
+    if estimate.options.regressors == "auto":
+        found += _untold(estimate)
     clock = estimate.tried_clock
     if clock is not None and estimate.clock is None and _is_told(estimate):
         found.append(

@@ -105,12 +105,12 @@ def _refitted(estimate: Estimate, names: tuple[str, ...]) -> Estimate:
 
     What moves the bias may pass for an offset of the clock, or hide one.
     """
-    anew = started(estimate.prepared.with_names(names))
+    again = started(estimate.prepared.with_names(names))
     if estimate.tried_clock is not None:
-        anew = with_clock(anew)
+        again = with_clock(again)
     elif estimate.far_clock is not None:
-        anew = replace(anew, coarse=estimate.coarse, far_clock=estimate.far_clock)
-    return replace(anew, ablation=estimate.ablation, candidates=estimate.candidates)
+        again = replace(again, coarse=estimate.coarse, far_clock=estimate.far_clock)
+    return replace(again, ablation=estimate.ablation, candidates=estimate.candidates)
 
 
 def _row(estimate: Estimate, offered: Observations, names: tuple[str, ...]) -> Ablation:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal
@@ -13,8 +14,8 @@ import numpy as np
 from magcal_core.errors import EncodingError, Fault, OrbitFormatError, TleFormatError
 from magcal_core.orbit import Orbit
 from magcal_core.orbit.messages.bulletin import tles_alone
-from magcal_core.orbit.messages.forms import form_of, refuse_binary, refuse_json_message
-from magcal_core.orbit.messages.json_tle import tle_text
+from magcal_core.orbit.messages.forms import form_of, refuse_binary, refuse_json_message, without_comments
+from magcal_core.orbit.messages.json_tle import mean_elements, tle_text
 from magcal_core.orbit.messages.oem import parse_oem
 from magcal_core.orbit.messages.omm import Omm, parse_omms
 from magcal_core.orbit.messages.opm import parse_opms
@@ -29,6 +30,7 @@ Kind = Literal["tle", "omm", "oem", "state"]
 MAX_BYTES: Final = 64 * 2**20
 """Longest text that is read, bytes."""
 
+_GZIP: Final = b"\x1f\x8b"
 _FORMS_OF_TYPE: Final[Mapping[str, tuple[str, ...]]] = {
     "application/json": ("json",),
     "application/xml": ("xml",),
@@ -110,11 +112,27 @@ def parse_sources(content: bytes | str, media_type: str | None = None) -> list[O
 
 
 def _decoded(content: bytes) -> str:
+    if content.startswith(_GZIP):
+        content = _unpacked(content)
     refuse_binary(content)
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise EncodingError(f"the orbit text is not UTF-8 at byte {error.start}") from error
+
+
+def _unpacked(content: bytes) -> bytes:
+    """Return what a gzip file holds, as archives of orbits keep their files."""
+    unpacker = zlib.decompressobj(wbits=31)
+    try:
+        text = unpacker.decompress(content, MAX_BYTES + 1)
+    except zlib.error as error:
+        raise OrbitFormatError("the orbit is gzip, but damaged") from error
+    if len(text) > MAX_BYTES:
+        raise OrbitFormatError(f"the orbit text has more than {MAX_BYTES} bytes, unpacked")
+    if not unpacker.eof:
+        raise OrbitFormatError("the orbit is gzip, but cut")
+    return text
 
 
 def _of_json(text: str) -> list[OrbitSource]:
@@ -126,8 +144,8 @@ def _of_json(text: str) -> list[OrbitSource]:
     rows = content if isinstance(content, list) else [content]
     if rows and all(isinstance(row, dict) and "position_km" in row for row in rows):
         return [_of_state(state_from_mapping(row)) for row in rows]
-    if rows and all(isinstance(row, dict) and "MEAN_MOTION" in row for row in rows):
-        return [_of_mean_elements("omm", omm) for omm in parse_omms(text.removeprefix("\ufeff"), "json")]
+    if records := mean_elements(content):
+        return [_of_mean_elements("omm", omm) for omm in parse_omms(json.dumps(records), "json")]
     if tles := tle_text(content):
         return _of_tle(tles)
     if isinstance(content, dict):
@@ -190,11 +208,11 @@ def _of_mean_elements(kind: Kind, elements: Tle | Omm) -> OrbitSource:
 _READERS: Final[Mapping[str, Callable[[str], list[OrbitSource]]]] = {
     "json": _of_json,
     "xml": _of_xml,
-    "csv": lambda text: [_of_mean_elements("omm", omm) for omm in parse_omms(text, "csv")],
+    "csv": lambda text: [_of_mean_elements("omm", omm) for omm in parse_omms(without_comments(text), "csv")],
     "tle": _of_tle,
     "omm-kvn": lambda text: [_of_mean_elements("omm", omm) for omm in parse_omms(text, "kvn")],
     "oem-kvn": _of_oem,
     "opm-kvn": _of_opm,
-    "sp3": lambda text: _of_oem(parse_sp3(text)),
+    "sp3": lambda text: _of_oem(parse_sp3(without_comments(text))),
     "stk": lambda text: _of_oem(parse_stk(text)),
 }

@@ -196,14 +196,24 @@ class Referenced:
 
         ``rows``: which of the usable samples; ``shift_s`` is theirs.
         """
-        used = _observed(self.samples).take(usable)
-        used = used if rows == slice(None) else used.take(rows)
-        return MovableObservations.of(used, regressors, self.orbits, self.field, uses=1).at(shift_s)
+        return self._movable(usable, regressors, rows, uses=1).at(shift_s)
 
     def movable(self, usable: NDArray[np.bool_], regressors: Sequence[str]) -> MovableObservations:
         """Return the same, made ready to be asked for the reference at shifted times again and again."""
-        used = _observed(self.samples).take(usable)
-        return MovableObservations.of(used, regressors, self.orbits, self.field, uses=_USES)
+        return self._movable(usable, regressors, slice(None), uses=_USES)
+
+    def _movable(
+        self, usable: NDArray[np.bool_], regressors: Sequence[str], rows: slice, *, uses: int
+    ) -> MovableObservations:
+        # Of all samples: a column at a lag, or a slope, needs the neighbours of the usable ones.
+        unmoved = self.observations(usable, regressors)
+        t_utc, q = self.samples.t_utc[usable], None
+        if unmoved.b_base_nt is not None and self.samples.q_base_gcrf is not None:
+            q = self.samples.q_base_gcrf[usable]
+        if rows != slice(None):
+            unmoved, t_utc, q = unmoved.take(rows), t_utc[rows], None if q is None else q[rows]
+        reference = MovingReference.about(t_utc, self.orbits, self.field, is_gcrf=q is not None, uses=uses)
+        return MovableObservations(unmoved, t_utc, q, reference)
 
 
 def has_columns(samples: Samples, regressors: Sequence[str]) -> NDArray[np.bool_]:
@@ -242,16 +252,6 @@ class MovableObservations:
     t_utc: Times
     q_base_gcrf: Floats | None
     reference: MovingReference
-
-    @classmethod
-    def of(
-        cls, samples: Samples, regressors: Sequence[str], orbits: Sequence[Orbit], field: FieldModel, *, uses: int
-    ) -> MovableObservations:
-        """Return what is observed in ``samples``, whose reference will be asked for ``uses`` times."""
-        unmoved = Observations.of(oriented(samples, np.ones(len(samples), dtype=bool)), regressors)
-        q = None if unmoved.b_base_nt is None else samples.q_base_gcrf
-        reference = MovingReference.about(samples.t_utc, orbits, field, is_gcrf=q is not None, uses=uses)
-        return cls(unmoved, samples.t_utc, q, reference)
 
     def at(self, shift_s: Floats, rows: slice = slice(None)) -> Observations:
         """Return the observations ``rows`` with the reference ``shift_s``, shape (rows,), s, after the clock's time.

@@ -239,6 +239,6 @@ def _hapi(comments: Sequence[_Line]) -> tuple[list[str], str | None, dict[str, f
         own = [name] if count == 1 else [f"{name}_{i}" for i in range(count)]
         names += own
         time = name if time is None and one.get("type") == "isotime" else time
-        if isinstance(fill := one.get("fill"), str) and is_number(fill):
+        if not isinstance(fill := one.get("fill"), bool) and is_number(str(fill)):
             fills |= dict.fromkeys(own, float(fill))
     return names, time, fills

@@ -10,6 +10,8 @@ import numpy as np
 from magcal_core.errors import EncodingError, TelemetryFormatError, TooManyRowsError
 
 MAX_LINE_BYTES: Final = 4096
+MAX_COMMENT_BYTES: Final = 1 << 20
+"""Longest line behind ``#``: a HAPI server may write all its header, some hundred parameters, on one."""
 """Longest line of a table."""
 MAX_ROWS: Final = 20_000_000
 """Most rows of one table."""
@@ -55,7 +57,7 @@ def check_lines(text: bytes, *, max_rows: int = MAX_ROWS) -> None:
     Raises
     ------
     TelemetryFormatError
-        A line is longer than `MAX_LINE_BYTES`.
+        A line is longer than `MAX_LINE_BYTES`, or one behind ``#`` than `MAX_COMMENT_BYTES`.
     TooManyRowsError
         There are more than ``max_rows`` rows and a header.
     """
@@ -77,9 +79,13 @@ def _check_line_lengths(text: bytes, end: bytes) -> None:
     # Hop to the last line end within reach; a window without one is a line that is too long.
     while len(text) - at > MAX_LINE_BYTES:
         last = text.rfind(end, at, at + MAX_LINE_BYTES + 1)
+        most = MAX_LINE_BYTES
+        if last < 0 and text.startswith(b"#", at):
+            most = MAX_COMMENT_BYTES
+            last = text.find(end, at, at + most + 1)
         if last < 0:
             line = text.count(end, 0, at) + 1
-            raise TelemetryFormatError(f"line {line} is longer than {MAX_LINE_BYTES} bytes")
+            raise TelemetryFormatError(f"line {line} is longer than {most} bytes")
         at = last + 1
 
 

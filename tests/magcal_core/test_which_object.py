@@ -6,6 +6,7 @@ import pytest
 from magcal_core.errors import InputError
 from magcal_core.orbit.messages.tle import checksum
 from magcal_core.orbit.sources import OrbitSource, parse_sources
+from magcal_core.pipeline import calibrate
 from magcal_core.samples import Samples
 from magcal_core.simulation.dekart_mission import SESSIONS, simulated, tle_text
 from magcal_core.which_object import which_object
@@ -49,6 +50,32 @@ def test_spikes_do_not_tell_of_another_object(samples):
     h_nt[rows] += rng.normal(0.0, 5e3, (len(rows), 3))
     found = which_object(Samples(t_utc=samples.t_utc, h_nt=h_nt), launch(60.0 / KM_PER_DEG))
     assert (found.state, found.objects[0].norad_id) == ("told", "50004")
+
+
+@pytest.mark.parametrize("kind", ["stretch", "zeros", "spikes"])
+def test_a_third_of_bad_rows_does_not_tell_of_another_object(samples, kind):
+    rng = np.random.default_rng(11)
+    h_nt, count = samples.h_nt.copy(), 3 * len(samples) // 10
+    rows = rng.choice(len(h_nt), count, replace=False)
+    if kind == "stretch":
+        h_nt[60 : 60 + count] += [9e3, -5e3, 12e3]
+    elif kind == "zeros":
+        h_nt[rows] = 0.0
+    else:
+        h_nt[rows] += rng.normal(0.0, 3e4, (count, 3))
+    found = which_object(Samples(t_utc=samples.t_utc, h_nt=h_nt), launch(60.0 / KM_PER_DEG, count=3, own=1))
+    assert (found.state, found.objects[0].norad_id) == ("told", "50001"), found.text
+
+
+def test_the_loss_is_that_of_a_calibration_by_default(samples):
+    """Clean rows lose nothing: the residual is that of the plain fit, which every default calibration has there."""
+    orbits = launch(60.0 / KM_PER_DEG, count=2, own=0)
+    first = which_object(samples, orbits).objects[0]
+    some = samples.take(np.linspace(0, len(samples) - 1, 400).astype(np.intp))
+    bare = Samples(t_utc=some.t_utc, h_nt=some.h_nt)
+    got = calibrate(bare, [orbits[0].orbit], noise_model="none", time_offset="none")
+    assert (got.extras["robust"]["asked"], got.extras["robust"]["used"]) == ("auto", "none")
+    assert first.residual_nt == pytest.approx(1.4826 * np.median(np.abs(got.residuals.residual_nt)), abs=1e-3)
 
 
 def test_objects_some_kilometres_apart_are_the_same_for_a_magnetometer(samples):

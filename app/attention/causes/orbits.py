@@ -5,8 +5,8 @@ from __future__ import annotations
 from datetime import datetime
 
 from app.attention.causes.contract import Action, Finding, Severity
-from app.attention.causes.wording import satellite_page
-from app.attention.situation import Situation
+from app.attention.causes.wording import day, satellite_page
+from app.attention.situation import Situation, is_other_object
 
 
 class OrbitMissing:
@@ -26,16 +26,18 @@ class OrbitOtherObject:
     """The newest orbit names another object than the satellite is."""
 
     def find(self, situation: Situation, now: datetime) -> Finding | None:
-        """Return which object it is of; the button goes to the orbits, where one is withdrawn or another given."""
+        """Return which object it is of.
+
+        The button takes it out of use where the satellite has an orbit of its own; else it goes to the orbits, where
+        another is given or the satellite's number is corrected.
+        """
         orbit, own = situation.orbit, situation.norad_id
-        if orbit is None or own is None or orbit.norad_id is None or _plain(orbit.norad_id) == _plain(own):
+        if orbit is None or not is_other_object(own, orbit.norad_id):
             return None
         kind = {"tle": "TLE", "omm": "OMM", "oem": "OEM"}.get(orbit.format, "The orbit")
         text = f"{kind} is of NORAD {orbit.norad_id}, the satellite is {own}"
         action = Action("Choose orbit", "GET", satellite_page(situation, "#orbits"))
+        if orbit.instead is not None:
+            withdraw = f"/api/v1/satellites/{situation.satellite_id}/orbits/{orbit.id}/withdraw"
+            action = Action(f"Use the own orbit of {day(orbit.instead.epoch)}", "POST", withdraw, {})
         return Finding(Severity.ACT, text, orbit.created_at, orbit.id, {"orbit_id": orbit.id}, action)
-
-
-def _plain(norad_id: str) -> str:
-    """Return a catalogue number without what it may be padded with: 00900 is 900."""
-    return norad_id.strip().lstrip("0")

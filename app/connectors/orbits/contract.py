@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from datetime import date
+from typing import Protocol, runtime_checkable
 
 from app.settings import Settings
 
@@ -40,6 +41,15 @@ class OrbitSource(Protocol):
 
     def ask(self, settings: Settings, satellite: Watched) -> Reply:
         """Return what the source has of a satellite; the errors are those of `app.connectors.http`."""
+        ...
+
+
+@runtime_checkable
+class PastSource(Protocol):
+    """A source that also has the elements of the past."""
+
+    def ask_between(self, settings: Settings, satellite: Watched, first: date, last: date) -> Reply | None:
+        """Return what the source has of a satellite from one day to another (not included), None where nothing."""
         ...
 
 

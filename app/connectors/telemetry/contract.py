@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime, timedelta
 from typing import Final, Protocol
 
 from magcal_core.errors import InputError
@@ -26,6 +27,7 @@ class Wanted:
 
     ``columns`` maps a column of the telemetry table to a name of the archive; ``since`` is where a first pull begins.
     ``dataset`` is the archive's own word for what is asked: Yamcs' instance, HAPI's dataset, SatNOGS' NORAD id.
+    ``by_history``: Yamcs' history of each parameter, page by page, instead of its export of a table.
     """
 
     base_url: str
@@ -33,6 +35,7 @@ class Wanted:
     dataset: str | None = None
     since: datetime | None = None
     token: str | None = field(default=None, repr=False)
+    by_history: bool = False
 
     @property
     def names(self) -> list[str]:
@@ -68,8 +71,17 @@ def table_of(rows: Sequence[Mapping[str, str]], wanted: Wanted, sensor: Mapping[
     return out.getvalue().encode()
 
 
+_DAY_OF_YEAR: Final = re.compile(r"(\d{4})-(\d{3})(?!\d)(.*)")
+_DATE_ALONE: Final = re.compile(r"(\d{4}-\d{2}-\d{2})Z?")
+
+
 def instant(text: str) -> datetime:
-    """Return a time of an archive; one without a zone is UTC, as theirs all are."""
+    """Return a time of an archive; one without a zone is UTC, as theirs all are. A day may be the year's."""
+    if found := _DAY_OF_YEAR.fullmatch(text):
+        year, number, rest = found.groups()
+        text = f"{date(int(year), 1, 1) + timedelta(days=int(number) - 1)}{rest}"
+    if found := _DATE_ALONE.fullmatch(text):
+        text = found[1]
     time = datetime.fromisoformat(text)
     return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
 

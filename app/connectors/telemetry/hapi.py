@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 import json
 import math
 from collections.abc import Iterator
@@ -87,9 +86,9 @@ def _is_number(text: object) -> bool:
 def _rows(body: bytes, dataset: Dataset, wanted: Wanted) -> list[dict[str, str]]:
     """Return the rows of a CSV; the first column is the time, and a fill value is no value."""
     found: list[dict[str, str]] = []
-    for cells in csv.reader(io.StringIO(body.decode("utf-8", "replace"))):
-        if not cells or cells[0].startswith("#"):
-            continue
+    # A header behind # is JSON: read as CSV, its quotes would swallow line ends.
+    lines = [line for line in body.decode("utf-8", "replace").splitlines() if line.strip() and not line.startswith("#")]
+    for cells in csv.reader(lines):
         if len(cells) != len(dataset.columns):
             raise SourceContentError(f"a row has {len(cells)} columns, and info says {len(dataset.columns)}")
         row = dict(zip(dataset.columns, (one.strip() for one in cells), strict=True))

@@ -1,4 +1,7 @@
-"""Yamcs: ``/api/archive/{instance}:exportParameterValues``, a table of parameters over a span of time."""
+"""Yamcs: ``/api/archive/{instance}:exportParameterValues``, a table of parameters over a span of time.
+
+A server without that call, and one that is asked by history, answers parameter by parameter (`yamcs_history`).
+"""
 
 from __future__ import annotations
 
@@ -8,12 +11,14 @@ from collections.abc import Iterator
 from datetime import datetime, timedelta
 from typing import Final
 
-from app.connectors.http import SourceClient, SourceContentError, require_no_page
+from app.connectors.http import SourceAnswerError, SourceClient, SourceContentError, require_no_page
 from app.connectors.telemetry.contract import TIME, Page, PullOptionError, Wanted, instant, iso
+from app.connectors.telemetry.yamcs_history import history_pages
 
 SPAN: Final = timedelta(hours=6)
 LATE: Final = timedelta(minutes=1)
 """What is younger may still be on its way into the archive."""
+NO_SUCH_CALL: Final = frozenset({404, 405, 501})
 MOST_EMPTY: Final = 8
 """After so many spans without a row the next ones are longer, so that a gap of years is passed soon."""
 
@@ -30,15 +35,27 @@ class Yamcs:
             raise PullOptionError("the first pull wants --since")
         client = SourceClient(wanted.base_url, _headers(wanted))
         try:
-            empty = 0
-            while begin < now - LATE:
-                end = min(begin + SPAN * (4 ** max(0, empty - MOST_EMPTY)), now - LATE)
-                rows = self._span(client, wanted, begin, end)
-                empty = 0 if rows else min(empty + 1, MOST_EMPTY + 4)
-                yield Page(rows, iso(end))
-                begin = end
+            if wanted.by_history:
+                yield from history_pages(client, wanted, begin, now - LATE)
+            else:
+                yield from self._tables(client, wanted, begin, now - LATE)
         finally:
             client.close()
+
+    def _tables(self, client: SourceClient, wanted: Wanted, begin: datetime, last: datetime) -> Iterator[Page]:
+        empty = 0
+        while begin < last:
+            end = min(begin + SPAN * (4 ** max(0, empty - MOST_EMPTY)), last)
+            try:
+                rows = self._span(client, wanted, begin, end)
+            except SourceAnswerError as error:
+                if error.status not in NO_SUCH_CALL:
+                    raise
+                yield from history_pages(client, wanted, begin, last)
+                return
+            empty = 0 if rows else min(empty + 1, MOST_EMPTY + 4)
+            yield Page(rows, iso(end))
+            begin = end
 
     def _span(self, client: SourceClient, wanted: Wanted, begin: datetime, end: datetime) -> list[dict[str, str]]:
         url = f"{wanted.base_url.rstrip('/')}/api/archive/{wanted.dataset}:exportParameterValues"

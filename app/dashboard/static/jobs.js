@@ -1,5 +1,5 @@
 // The queue, live: searched, filtered and counted by the service; progress, cancel, retry.
-import { ago, grade, h, may, notice, short, show, start, state, time } from "./magcal.js";
+import { ago, causes, grade, h, may, notice, short, show, start, state, time } from "./magcal.js";
 import { cancel, ENDED, retry } from "./job.js";
 import { listing } from "./listing.js";
 
@@ -11,7 +11,7 @@ function result(job) {
   const set = job.result?.parameter_set_id;
   if (set && job.verdict) return h("a", { href: `/parameter-sets/${set}` }, grade(job.verdict), ` set ${short(set)}`);
   if (set) return h("a", { href: `/parameter-sets/${set}` }, `set ${short(set)}`);
-  if (job.error) return h("details", {}, h("summary", {}, job.error.code), job.error.detail);
+  if (job.error) return h("details", {}, h("summary", {}, job.error.code), job.error.detail, causes(job.error.diagnosis));
   return "–";
 }
 

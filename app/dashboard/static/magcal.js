@@ -137,6 +137,22 @@ export function problemTable(problem) {
   return h("div", { class: "notice refuse", role: "alert" }, h("strong", {}, body.detail || body.title),
     body.errors?.length
       ? table([{ name: "where", value: (fault) => fault.where }, { name: "why", value: (fault) => fault.why }], body.errors, { caption: "Faults", file: "faults" })
+      : null, causes(body.diagnosis));
+}
+
+// What is wrong with the input, the cause first, then what explains the data about as well, and what was tried.
+export function causes(diagnosis) {
+  if (!diagnosis?.findings?.length) return null;
+  const { candidates, findings, residual_share: share } = diagnosis;
+  const percent = (value) => `${fixed(100 * value, 2)} %`;
+  return h("div", { class: "causes" },
+    findings.map((one) => h("p", {}, h("strong", {}, "Cause: "), h("code", {}, one.code), ` ${one.text}`,
+      one.alternatives?.length ? h("small", {}, `About as likely: ${one.alternatives.map((other) => other.text).join("; ")}.`) : null)),
+    share === null || share === undefined ? null : h("p", { class: "muted" }, `The best sensor leaves ${percent(share)} of the field under the reference that was given.`),
+    candidates?.length
+      ? table([{ name: "tried", value: (r) => r.code }, { name: "what", value: (r) => r.text },
+        { name: "leaves of the field", numeric: true, value: (r) => r.residual_share, show: (r) => percent(r.residual_share) }],
+      candidates, { caption: "Other references that were tried", file: "causes" })
       : null);
 }
 

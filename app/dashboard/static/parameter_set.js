@@ -1,5 +1,5 @@
 // One parameter set: the verdict and its reasons first, then numbers, then figures; activate and roll back.
-import { api, confirm, facts, fixed, form, field, grade, h, listed, may, notice, nt, option, section, short, show, start, SYMBOLS, tiles, time, title } from "./magcal.js";
+import { api, causes, confirm, facts, fixed, form, field, grade, h, listed, may, notice, nt, option, section, short, show, start, SYMBOLS, tiles, time, title } from "./magcal.js";
 import { differenceTable, parameterTable, statisticsTable } from "./parameters.js";
 import { follow } from "./job.js";
 import { notes } from "./notes.js";
@@ -96,7 +96,7 @@ function cure(offered) {
 function verdict(record) {
   const { grade: name, reasons } = record.verdict;
   return h("section", { class: `verdict ${name}`, "aria-label": "Verdict" }, h("div", { class: "word" }, `${SYMBOLS[name]} ${name}`),
-    reasonsOf(record, reasons),
+    reasonsOf(record, reasons), causes(record.diagnosis),
     record.advice?.length ? [h("h2", {}, "Advice"), h("ul", {}, record.advice.map((one) => h("li", {}, one)))] : null,
     record.warnings.length ? [h("h2", {}, "Warnings"), h("ul", {}, record.warnings.map((warning) => h("li", {}, warning)))] : null);
 }

@@ -1,5 +1,5 @@
 // One session: what it holds, how good it is, and a calibration of it.
-import { ago, agreement, api, facts, field, fixed, form, grade, h, listed, may, option, section, short, show, start, tiles, time, title } from "./magcal.js";
+import { ago, agreement, api, causes, facts, field, fixed, form, grade, h, listed, may, option, section, short, show, start, tiles, time, title } from "./magcal.js";
 import { lines } from "./attention.js";
 import { follow } from "./job.js";
 import { notes } from "./notes.js";
@@ -45,11 +45,20 @@ function agrees({ monitoring }) {
     h("ul", {}, monitoring.reasons.map((reason) => h("li", {}, reason.replace(/^\w+: /, "")))));
 }
 
+// Why the newest calibration of the session failed, where it did: the cause first.
+function failure({ items: [job] }) {
+  if (job?.state !== "failed" || !job.error) return null;
+  return h("section", { id: "cause", class: "verdict refuse" }, h("h2", {}, "Why the last calibration failed"),
+    h("p", {}, job.error.detail || job.error.code), causes(job.error.diagnosis),
+    h("p", { class: "muted" }, `${ago(job.finished_at ?? job.created_at)}; `, h("a", { href: `/jobs?q=${job.id}` }, `job ${short(job.id)}`)));
+}
+
 const flagRows = (quality) => Object.entries(quality.flags ?? {}).map(([name, count]) => [name.replaceAll("_", " "), `${count} samples`]);
 
 start(async () => {
   title(`Session ${short(id)}`);
   const session = await api(`/sessions/${id}`);
+  const newest = await api(`/jobs?kind=calibration&limit=1&session=${id}`);
   const { quality } = session;
   const [measured, coverage, keeping] = [h("span", {}, "…"), h("span", {}, "…"), h("div")];
   const setsPlace = section("Parameter sets from this session", h("p", { class: "muted" }, "Loading …"));
@@ -64,7 +73,7 @@ start(async () => {
       ["step", quality.step_s ? `${fixed(quality.step_s, 2)} s` : "–", quality.span_s ? `${fixed(quality.span_s / 3600, 2)} h` : null],
       ["gaps", quality.gaps === undefined ? "–" : String(quality.gaps), quality.gaps && quality.longest_gap_s ? `longest ${fixed(quality.longest_gap_s, 0)} s` : null]),
     session.state === "open" ? h("p", { class: "notice weak" }, "This session is open: further chunks may arrive.") : null,
-    attentionPlace, section("Against the set in force", agrees(session)),
+    attentionPlace, failure(newest), section("Against the set in force", agrees(session)),
     may("operate") && session.samples ? h("section", { id: "calibrate" }, h("h2", {}, "Calibrate"), calibrate(session)) : null,
     setsPlace,
     section("Readings", plot(`/sessions/${id}/figures/raw`, "|B| as measured and its components", "Crosses are samples with a flag.", 360)),

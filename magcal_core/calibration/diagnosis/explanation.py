@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_core.arrays import Floats
+from magcal_core.arrays import Floats, Mask
 from magcal_core.calibration.estimators.robust_start import Quadric
 
 EXPLAINED: Final = 0.02
@@ -18,27 +18,58 @@ BETTER: Final = 1.3
 """Ratio of the capped residuals from which one reference is better than another."""
 CAP: Final = 0.03
 """Share of |B| up to which a residual counts: rows that are left out weigh too, and none more than this."""
+GAINS: Final = 8.0
+"""Factor by which the gain of an axis may differ from one: beyond it a quadric is no sensor."""
+COLOURED: Final = 0.4
+"""Correlation of what neighbours leave from which on it is no noise."""
+WHOLE: Final = 0.005
+"""Scale, as a share of |B|, below which a coloured residual is what sensors leave."""
+FAR_BETTER: Final = 3.5
+"""Ratio of the capped residuals from which on a reference is better, coloured or not."""
 _SUBSETS: Final = 60
 _REACH: Final = 5.0
 _ROUNDS: Final = 3
+_FEW_PAIRS: Final = 30
 
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """What the best sensor leaves under a reference: scale and capped RMS, shares of |B|, and the share of inliers."""
+    """What the best sensor leaves under a reference.
+
+    Attributes
+    ----------
+    scale, capped : robust scale and capped RMS, shares of |B|.
+    inlier_share : share of the rows within five scales.
+    is_sensor : whether what was found is one: of readings that say nothing, and a field that hardly varies, the
+        quadric's constant explains all, with gains that are next to nothing.
+    neighbours : correlation of what inliers leave with what the next ones do: a wrong reference that comes near leaves
+        a smooth difference, the right one noise.
+    """
 
     scale: float
     capped: float
     inlier_share: float
+    is_sensor: bool = True
+    neighbours: float = 0.0
 
     @property
     def is_sound(self) -> bool:
         """Whether a sensor explains the readings."""
-        return self.scale < EXPLAINED and self.inlier_share >= INLIERS
+        return self.is_sensor and self.scale < EXPLAINED and self.inlier_share >= INLIERS
+
+    @property
+    def is_coloured(self) -> bool:
+        """Whether what is left is smooth."""
+        return self.neighbours > COLOURED
 
     def explains(self, given: Explanation) -> bool:
-        """Whether this reference explains what the ``given`` one does not."""
-        return self.is_sound and self.capped <= given.capped / BETTER
+        """Whether this reference explains what the ``given`` one does not.
+
+        What leaves a smooth difference of more than sensors do must be far better: of short sessions another hour's
+        field comes near.
+        """
+        is_near = self.is_coloured and self.scale > WHOLE
+        return self.is_sound and self.capped <= given.capped / (FAR_BETTER if is_near else BETTER)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,13 +87,14 @@ class Rows:
 
     def explanation(self, b_nt: Floats) -> Explanation:
         """Return how well the field ``b_nt``, shape (m,), nT, explains the rows: by least trimmed squares."""
-        r, scale_nt = self.quadric.fit_residuals_nt(b_nt)
+        r, scale_nt, unknowns = self.quadric.fit_residuals_nt(b_nt)
         if not np.isfinite(scale_nt):
             return Explanation(np.inf, CAP, 0.0)
         size, field_nt = np.abs(r), float(np.median(b_nt))
         capped = float(np.sqrt(np.mean(np.minimum(size, CAP * field_nt) ** 2)))
-        near = float(np.mean(size <= _REACH * max(scale_nt, 1e-9 * field_nt)))
-        return Explanation(scale_nt / field_nt, capped / field_nt, near)
+        near = size <= _REACH * max(scale_nt, 1e-9 * field_nt)
+        share = float(np.mean(near))
+        return Explanation(scale_nt / field_nt, capped / field_nt, share, _is_sensor(unknowns), _neighbours(r, near))
 
     def scores(self, fields_nt: Floats) -> Floats:
         """Return the median residual, a share of |B|, that each of many references leaves, shape (c,).
@@ -91,6 +123,23 @@ class Rows:
             middle = np.maximum(np.median(residual, axis=1), 1e-12)
             weights = base / (1.0 + (residual / (1.4826 * middle[:, None])) ** 2)
         return np.asarray(np.median(residual, axis=1) / np.median(b, axis=1))
+
+
+def _is_sensor(unknowns: Floats) -> bool:
+    """Return whether a quadric, of readings over their median size, is an ellipsoid with gains within `GAINS`."""
+    a11, a22, a33, a12, a13, a23 = unknowns[:6]
+    squares = np.linalg.eigvalsh(np.array([[a11, a12, a13], [a12, a22, a23], [a13, a23, a33]]))
+    return bool(squares[0] > GAINS**-2 and squares[-1] < GAINS**2)
+
+
+def _neighbours(residuals_nt: Floats, near: Mask) -> float:
+    """Return the correlation of residuals, shape (n,), with the next ones, of the rows ``near``; 0 of too few."""
+    pairs = near[1:] & near[:-1]
+    if np.count_nonzero(pairs) < _FEW_PAIRS:
+        return 0.0
+    r = residuals_nt - np.mean(residuals_nt[near])
+    square = float(np.mean(r[near] ** 2))
+    return float(np.mean(r[1:][pairs] * r[:-1][pairs])) / square if square > 0 else 0.0
 
 
 def spread_of(column: Floats) -> float:

@@ -26,6 +26,10 @@ DAY_S: Final = 86400.0
 _GRID_S: Final = 30.0
 _APART_S: Final = 300.0
 _MINIMA: Final = 6
+_HALF_HOUR_S: Final = 1800.0
+_ZONES: Final = 2
+FARTHEST_ZONE_S: Final = 14 * 3600.0
+"""Time zones lie within 14 h of UTC."""
 _ALONG_S: Final = 120.0
 _NODE_DEG: Final = 6.0
 _AT_ONCE: Final = 1024
@@ -90,7 +94,7 @@ def other_clocks(rows: Rows, track: Track) -> list[OrbitCandidate]:
     offsets_s = np.asarray(_GRID_S * np.arange(-steps, steps + 1), np.float64)
     scores = _scored(rows, offsets_s, field_nt)
     found = []
-    for offset_s in _minima(offsets_s, scores):
+    for offset_s in dict.fromkeys([*_minima(offsets_s, scores), *_zones(offsets_s, scores)]):
         best_s = _refined(rows, field_nt, offset_s, _GRID_S, 0.3)
         exact_nt = track.field_nt(np.array([best_s]))[0]
         found.append(OrbitCandidate("clock", best_s, 0.0, "", rows.explanation(exact_nt)))
@@ -181,6 +185,13 @@ def _minima(offsets_s: Floats, scores: Floats, most: int = _MINIMA) -> list[floa
         if len(found) == most:
             break
     return found
+
+
+def _zones(offsets_s: Floats, scores: Floats) -> list[float]:
+    """Return the best offsets by whole half hours up to 14 h, which a short session may hide behind better minima."""
+    is_zone = (offsets_s % _HALF_HOUR_S == 0.0) & (offsets_s != 0.0) & (np.abs(offsets_s) <= FARTHEST_ZONE_S)
+    order = np.argsort(np.where(is_zone, scores, np.inf))
+    return [float(offsets_s[i]) for i in order[:_ZONES]]
 
 
 def _refined(rows: Rows, field_nt: Callable[[Floats], Floats], offset_s: float, step_s: float, last_s: float) -> float:

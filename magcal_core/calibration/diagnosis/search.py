@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from magcal_core.calibration.diagnosis.cause import Diagnosis, Finding, Named, Tried
 from magcal_core.calibration.diagnosis.explanation import BETTER, EXPLAINED, Explanation, Rows
 from magcal_core.calibration.diagnosis.other_orbits import (
+    FARTHEST_ZONE_S,
     OrbitCandidate,
     Track,
     along_the_track,
@@ -19,7 +20,13 @@ from magcal_core.calibration.diagnosis.other_orbits import (
     other_objects,
     other_planes,
 )
-from magcal_core.calibration.diagnosis.rows_and_axes import bad_rows, constant_axis, constant_sensor, wrong_unit
+from magcal_core.calibration.diagnosis.rows_and_axes import (
+    BAD_SHARE,
+    bad_rows,
+    constant_axis,
+    constant_sensor,
+    wrong_unit,
+)
 from magcal_core.calibration.estimators.robust_start import rows_looked_at
 from magcal_core.errors import MagcalError, OptionError
 from magcal_core.field import FieldModel
@@ -32,9 +39,10 @@ FEWEST_ROWS: Final = 25
 """Rows below which ten unknowns explain anything."""
 WORTH_A_LOOK: Final = 0.005
 """Scale, as a share of |B|, from which on something may be behind it."""
+_MOST_ROWS_GOOD: Final = 0.7
+"""Share of the rows below which smooth residuals of the others say that the reference is wrong, not the rows."""
 _QUARTER_HOUR_S: Final = 900.0
 _ZONE_S: Final = 20.0
-_FARTHEST_ZONE_S: Final = 14 * 3600.0
 _SHORT_CLOCK_S: Final = 1500.0
 _COARSE_DEGREE: Final = 6
 
@@ -76,24 +84,35 @@ def _behind(given: Circumstances, rows: Rows, own: Explanation, t_utc: NDArray[n
     """Return what is behind a residual that rows and axes do not explain by themselves."""
     bad = bad_rows(given.samples, 1.0 - own.inlier_share) if own.scale < EXPLAINED else None
     figures = (own.scale if np.isfinite(own.scale) else None, own.inlier_share)
-    if own.scale < WORTH_A_LOOK:
+    # Of a wrong reference the best half of the rows may show a sensor as well: many far rows are worth a look too.
+    is_suspect = bad is not None and 1.0 - own.inlier_share > BAD_SHARE
+    if own.scale < WORTH_A_LOOK and not is_suspect:
         return Diagnosis(*figures, () if bad is None else (bad,))
     candidates = _candidates(given, rows, t_utc)
     tried = tuple(Tried(one.kind, _text(one), one.explanation.scale) for one in _best_of_each(candidates))
     explaining = [one for one in candidates if one.explanation.explains(own)]
     if explaining:
         return Diagnosis(*figures, (_finding(explaining, own),), tried)
-    if bad is not None:
+    is_half = bad is not None and own.is_coloured and own.inlier_share < _MOST_ROWS_GOOD
+    if bad is not None and not is_half:
         return Diagnosis(*figures, (bad,), tried)
-    if own.scale <= EXPLAINED:
+    if own.scale <= EXPLAINED and not is_half:
         return Diagnosis(*figures, (), tried)
-    text = (
+    found = Finding("unexplained", _unexplained(own, is_half=is_half), figures[0], "share of the field", None)
+    return Diagnosis(*figures, (found,), tried)
+
+
+def _unexplained(own: Explanation, *, is_half: bool) -> str:
+    if is_half:
+        return (
+            f"a sensor explains {own.inlier_share:.0%} of the rows, and what these leave is no noise: the reference is "
+            "wrong, but no other clock or orbit that was tried explains the readings"
+        )
+    if not np.isfinite(own.scale):
+        return "no sensor explains the readings, and no other clock or orbit that was tried does"
+    return (
         f"the best sensor leaves {own.scale:.1%} of the field, and no other clock or orbit that was tried leaves less"
     )
-    if not np.isfinite(own.scale):
-        text = "no sensor explains the readings, and no other clock or orbit that was tried does"
-    found = Finding("unexplained", text, figures[0], "share of the field", None)
-    return Diagnosis(*figures, (found,), tried)
 
 
 def _candidates(given: Circumstances, rows: Rows, t_utc: NDArray[np.datetime64]) -> list[OrbitCandidate]:
@@ -150,7 +169,7 @@ def _finding(explaining: Sequence[OrbitCandidate], own: Explanation) -> Finding:
 def _is_zone(offset_s: float) -> bool:
     quarters = round(offset_s / _QUARTER_HOUR_S)
     is_near = abs(offset_s - quarters * _QUARTER_HOUR_S) <= _ZONE_S
-    return quarters != 0 and is_near and abs(offset_s) <= _FARTHEST_ZONE_S + _ZONE_S
+    return quarters != 0 and is_near and abs(offset_s) <= FARTHEST_ZONE_S + _ZONE_S
 
 
 def _rank(one: OrbitCandidate) -> int:

@@ -252,14 +252,14 @@ class Quadric:
             return float("inf")
         return _polished(rows, target, np.ascontiguousarray(found[0, :_UNKNOWNS])) * self.unit_nt
 
-    def fit_residuals_nt(self, b_nt: Floats) -> tuple[Floats, float]:
-        """Return the residuals, shape (n,), nT, about least trimmed squares, and their scale, nT."""
+    def fit_residuals_nt(self, b_nt: Floats) -> tuple[Floats, float, Floats]:
+        """Return the residuals, shape (n,), nT, about least trimmed squares, their scale, nT, and the ten unknowns."""
         found, rows, target = self.fits(b_nt)
-        if not np.isfinite(found[0]).all():
-            return np.full(len(b_nt), np.inf), float("inf")
         p = np.ascontiguousarray(found[0, :_UNKNOWNS])
+        if not np.isfinite(found[0]).all():
+            return np.full(len(b_nt), np.inf), float("inf"), p
         scale = _polished(rows, target, p)
-        return (rows @ p - target) * self.unit_nt, scale * self.unit_nt
+        return (rows @ p - target) * self.unit_nt, scale * self.unit_nt, p
 
 
 def scalar_start(h_nt: Floats, b_nt: Floats) -> RobustStart | None:

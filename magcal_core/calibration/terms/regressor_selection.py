@@ -23,6 +23,7 @@ from magcal_core.calibration.terms.regressor_evidence import ENOUGH as ENOUGH_EV
 from magcal_core.calibration.terms.regressor_evidence import ColumnEvidence, SmoothBias
 from magcal_core.calibration.uncertainty.cross_validation import folds_of, held_out_residuals_nt, rms_nt
 from magcal_core.observations import Observations
+from magcal_core.sensor.regressors import source_of
 
 MAX_TERMS: Final = 8
 GAIN: Final = 0.02
@@ -39,7 +40,8 @@ _SAME: Final = 0.999
 class Ablation:
     """One model that was tried: its terms, its residual in the fit and on unseen blocks, nT, its cost, nT^2.
 
-    ``evidence``: of its last term beside every smooth bias, where that was weighed.
+    ``evidence``: of its last term beside every smooth bias, where that was weighed; ``gains``: unseen blocks bear that
+    term out.
     """
 
     regressors: tuple[str, ...]
@@ -48,6 +50,7 @@ class Ablation:
     cost: float
     is_selected: bool = False
     evidence: ColumnEvidence | None = None
+    gains: bool = False
 
     def to_dict(self) -> dict[str, object]:
         """Return the row as the records have it."""
@@ -70,6 +73,18 @@ class Choice:
 
     names: tuple[str, ...]
     ablation: tuple[Ablation, ...]
+
+
+def untold_terms(ablation: Sequence[Ablation], taken: Sequence[str]) -> tuple[Ablation, ...]:
+    """Return the models whose last term gains on unseen blocks and is not among the terms ``taken``, one a column.
+
+    Such a term may be real: one session cannot tell it from a slow change of the bias, another one can.
+    """
+    known, found = {source_of(name) for name in taken}, {}
+    for row in ablation:
+        if row.gains and row.regressors and source_of(row.regressors[-1]) not in known:
+            found.setdefault(source_of(row.regressors[-1]), row)
+    return tuple(found.values())
 
 
 def usable_columns(housekeeping: Mapping[str, Floats], usable: NDArray[np.bool_]) -> tuple[str, ...]:
@@ -108,8 +123,8 @@ def choose_regressors(
         for name, evidence in _ranked(smooth, observations, present, fit):
             more = (*row.regressors, name)
             tried, tried_fit, tried_held_out = _trial(estimator, observations, replace(settings, near=fit), more)
-            rows.append(replace(tried, evidence=evidence))
             is_better = tried_held_out is not None and _is_better(observations, fit, held_out, tried_held_out)
+            rows.append(replace(tried, evidence=evidence, gains=is_better))
             if evidence.is_enough and is_better:
                 row, fit, held_out = rows[-1], tried_fit, tried_held_out
                 break
@@ -122,7 +137,11 @@ def choose_regressors(
 def _ranked(
     smooth: SmoothBias, observations: Observations, present: Observations, fit: Fit
 ) -> list[tuple[str, ColumnEvidence]]:
-    """Return the candidates with the most evidence, the best first: all with enough, or else the best alone."""
+    """Return the candidates with the most evidence, the best first: all with enough, or else the best alone.
+
+    Of one column only the lag with the most: a slow one is nearly the same at all of them, and would be all that is
+    tried.
+    """
     chosen = tuple(present.regressors)
     candidates = {
         name: [column]
@@ -130,7 +149,10 @@ def _ranked(
         if name not in chosen and not _repeats(observations, name, chosen)
     }
     found = smooth.weigh(present, fit, candidates)
-    ranked = sorted(found, key=lambda name: -found[name])
+    of_each: dict[str, str] = {}
+    for name in sorted(found, key=lambda one: -found[one]):
+        of_each.setdefault(source_of(name), name)
+    ranked = list(of_each.values())
     enough = [name for name in ranked if found[name] >= ENOUGH_EVIDENCE][:_TRIED]
     if not enough:
         return [(name, ColumnEvidence(found[name])) for name in ranked[:1]]

@@ -34,7 +34,7 @@ def parse_epoch(text: str, *, needs_zone: bool = False) -> np.datetime64:
     TimeError
         The text is not an epoch.
     """
-    text = text.strip()
+    text = text.strip().upper()
     if match := _CALENDAR.fullmatch(text):
         day, *clock, zone = match.groups()
     elif match := _DAY_OF_YEAR.fullmatch(text):

@@ -35,13 +35,19 @@ class Form:
     is_read: bool = True
 
 
+_PAGE: Final = r"(?:<\?xml[^>]*>\s*|<!--(?:(?!-->)[\s\S])*-->\s*)*(?:<!doctype html|<html|<head|<body)"
+_COMMENTS: Final = re.compile(r"(?:#(?![a-z][PV ]\d{4}|#)[^\n]*\n\s*)+")
+"""Lines of comment that some producers begin a file with; SP3 has its first lines behind ``#``, too."""
+
+
 def _starts(pattern: str) -> Callable[[str], bool]:
     found = re.compile(pattern, re.IGNORECASE)
     return lambda start: found.match(start) is not None
 
 
 def _has(*marks: str) -> Callable[[str], bool]:
-    return lambda start: any(mark in start for mark in marks)
+    found = re.compile("|".join(marks), re.IGNORECASE)
+    return lambda start: found.search(start) is not None
 
 
 def _xml_of(root: str) -> Callable[[str], bool]:
@@ -50,12 +56,12 @@ def _xml_of(root: str) -> Callable[[str], bool]:
 
 
 def _is_csv_of_elements(start: str) -> bool:
-    names = {name.strip(" \"'\t").upper() for name in start.partition("\n")[0].split(",")}
+    names = {name.strip(" \"'\r").upper() for name in re.split("[,;\t]", start.partition("\n")[0])}
     return {"MEAN_MOTION", "ECCENTRICITY"} <= names
 
 
 FORMS: Final = (
-    Form("html", "an HTML page", _starts(r"<!doctype html|<html|<head|<body"), is_read=False),
+    Form("html", "an HTML page", _starts(_PAGE), is_read=False),
     Form("json", "JSON", _starts(r"[{\[]")),
     Form("csv", "CSV of mean elements", _is_csv_of_elements),
     Form("kml", "a KML file", _xml_of("kml"), is_read=False),
@@ -83,7 +89,7 @@ FORMS: Final = (
 """Looked through in this order; what none of them is, is taken for TLEs, alone or with text around them."""
 
 _BINARY: Final = {
-    b"DAF/": "an SPK kernel", b"SIMPLE  =": "a FITS file", b"PK\x03\x04": "a zip archive", b"\x1f\x8b": "gzip",
+    b"DAF/": "an SPK kernel", b"SIMPLE  =": "a FITS file", b"PK\x03\x04": "a zip archive",
     b"\x89HDF": "an HDF5 file", b"CDF": "a NetCDF file", b"%PDF": "a PDF document",
 }  # fmt: skip
 READ: Final = "TLE, OMM, OPM, OEM, SP3-c and -d, STK ephemeris (.e), state vector"
@@ -117,7 +123,7 @@ def form_of(text: str) -> str:
     OrbitFormatError
         The text is of a form that is not read, an HTML page, or what a server answers where it has no orbit.
     """
-    start = text.lstrip("\ufeff \t\r\n")[:4000]
+    start = without_comments(text)[:4000]
     form = next((one for one in FORMS if one.begins(start)), None)
     if form is None:
         if not has_tle(text):
@@ -132,6 +138,13 @@ def form_of(text: str) -> str:
     if not form.is_read:
         raise OrbitFormatError(f"this is {form.words}, which is not read; read are {READ}")
     return form.name
+
+
+def without_comments(text: str) -> str:
+    """Return a text without a byte order mark, and without blank lines and lines behind ``#`` that it begins with."""
+    text = text.lstrip("\ufeff \t\r\n")
+    found = _COMMENTS.match(text)
+    return text if found is None else text[found.end() :]
 
 
 def _refuse_message(start: str, length: int) -> None:

@@ -10,6 +10,7 @@ velocities.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Final
 
@@ -22,10 +23,9 @@ from magcal_core.orbit.earth.timescales import julian_tt
 
 FRAME_OF_NAME: Final[Mapping[str, Frame]] = {
     "GCRF": "GCRF", "ICRF": "GCRF", "GCRS": "GCRF", "EME2000": "EME2000", "J2000": "EME2000", "TEME": "TEME",
-    "ITRF": "ITRF", "ITRF-93": "ITRF", "ITRF-97": "ITRF", "ITRF2000": "ITRF", "ITRF2005": "ITRF", "ITRF2008": "ITRF",
-    "ITRF2014": "ITRF", "ITRF2020": "ITRF", "ITRF1993": "ITRF", "ITRF1997": "ITRF", "WGS84": "ITRF", "WGS-84": "ITRF",
+    "TEMEOFDATE": "TEME", "ITRF": "ITRF", "ECEF": "ITRF", "ECF": "ITRF", "WGS84": "ITRF",
 }  # fmt: skip
-"""Reference frames that a message may be in; the ITRFs of different years are centimetres apart."""
+"""Reference frames that a message may be in, written without ``-``, ``_``, blanks and the year of a realisation."""
 OF_DATE: Final[Mapping[str, Frame]] = {
     "TOD": "GCRF", "TOD_EARTH": "GCRF", "MOD": "GCRF", "MOD_EARTH": "GCRF", "TDR": "ITRF", "GTOD": "ITRF",
     "PEF": "ITRF",
@@ -33,9 +33,27 @@ OF_DATE: Final[Mapping[str, Frame]] = {
 """Frames of date, and what they are turned into."""
 
 
+_REALISED: Final = re.compile(r"(ITRF|IGS|IGB|ICRF|GCRF|WGS84)(?:\d{1,4}|\(\w{1,6}\)|G\d{1,4})?")
+"""A frame with the year or number of its realisation; those of the Earth-fixed ones are centimetres apart."""
+
+
 def known_frames() -> tuple[str, ...]:
-    """Return every name of a frame that a message may have."""
+    """Return every name of a frame that a message may have, but for years of realisations."""
     return (*FRAME_OF_NAME, *OF_DATE)
+
+
+def is_known(name: str) -> bool:
+    """Return whether a message may be in a frame."""
+    return _plain(name) in FRAME_OF_NAME or name.strip().upper() in OF_DATE
+
+
+def _plain(name: str) -> str:
+    """Return a frame's name without ``-``, ``_``, blanks and the year of its realisation."""
+    plain = re.sub(r"[-_ ]", "", name.upper())
+    found = _REALISED.fullmatch(plain)
+    if found is None:
+        return plain
+    return "ITRF" if found[1] in {"IGS", "IGB"} else found[1]
 
 
 def in_known_frame(name: str, t_utc: Times, r_km: Floats, v_km_s: Floats) -> tuple[Frame, Floats, Floats]:
@@ -43,8 +61,9 @@ def in_known_frame(name: str, t_utc: Times, r_km: Floats, v_km_s: Floats) -> tup
 
     Only frames of date are turned; the others stay as they are.
     """
-    if name in FRAME_OF_NAME:
-        return FRAME_OF_NAME[name], r_km, v_km_s
+    if _plain(name) in FRAME_OF_NAME:
+        return FRAME_OF_NAME[_plain(name)], r_km, v_km_s
+    name = name.strip().upper()
     if OF_DATE[name] == "ITRF":
         turned = polar_motion_matrix(t_utc)
     else:

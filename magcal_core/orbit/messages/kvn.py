@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from magcal_core.errors import Fault, OrbitFormatError
 
@@ -22,19 +23,38 @@ class KvnLine:
 
 
 def kvn_lines(text: str) -> Iterator[KvnLine]:
-    """Yield the lines of a message but for blank ones and comments; a unit in brackets is taken off the value."""
+    """Yield the lines of a message but for blank ones and comments; a unit in brackets is taken off the value.
+
+    Keywords may be in any case, and comments may stand behind ``#``, too, as some producers write them.
+    """
     for number, raw in enumerate(text.removeprefix("\ufeff").splitlines(), 1):
         line = raw.strip()
-        if not line or line.split(maxsplit=1)[0] == "COMMENT":
+        if not line or line.startswith("#") or line.split(maxsplit=1)[0].upper() == "COMMENT":
             continue
         keyword, equals, value = line.partition("=")
         if not equals:
-            yield KvnLine(number, "", line)
+            yield KvnLine(number, "", line.upper() if "_" in line else line)
         else:
             value = value.strip()
             if value.endswith("]"):
                 value = value[: value.rfind("[")].strip()
-            yield KvnLine(number, keyword.strip(), value)
+            yield KvnLine(number, keyword.strip().upper(), value)
+
+
+_FORTRAN: Final = re.compile(r"([\d.])[dD]([+-]?\d)")
+
+
+def number(text: str) -> float:
+    """Return a number of a message; the exponent may be Fortran's, ``1.5D+03``.
+
+    Raises
+    ------
+    ValueError
+        The text is no number; ``1_000`` and digits of other scripts, which Python reads, are none.
+    """
+    if "_" in text or not text.isascii():
+        raise ValueError(f"{text[:40]!r} is not a number")
+    return float(_FORTRAN.sub(r"\1e\2", text))
 
 
 def parse_xml(text: str) -> Element:

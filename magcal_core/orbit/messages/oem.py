@@ -15,13 +15,13 @@ from magcal_core.numerics.interpolation import StateTable
 from magcal_core.orbit.earth.frames import Frame, State, convert_position, convert_state
 from magcal_core.orbit.earth.timescales import nanoseconds
 from magcal_core.orbit.messages.epochs import TIME_SYSTEMS, parse_epoch, to_utc
-from magcal_core.orbit.messages.frames_of_date import in_known_frame, known_frames
+from magcal_core.orbit.messages.frames_of_date import in_known_frame, is_known, known_frames
 from magcal_core.orbit.messages.interpolation_check import REFUSED_KM, Interpolation, best_interpolation
-from magcal_core.orbit.messages.kvn import KvnLine, find_all, kvn_lines, leaves, parse_xml
+from magcal_core.orbit.messages.kvn import KvnLine, find_all, kvn_lines, leaves, number, parse_xml
 
 MAX_STATES: Final = 500_000
 DEFAULT_DEGREE: Final = 7
-"""Of the Hermite polynomial where a message does not say how to interpolate."""
+"""Of the polynomial where a message does not say."""
 
 _KEYS: Final = ("REF_FRAME", "TIME_SYSTEM", "START_TIME", "STOP_TIME")
 _MAX_DEGREE: Final = 31
@@ -148,6 +148,8 @@ def parse_oem(text: str) -> OemOrbit:
     parts = _xml_segments(text, faults) if text.lstrip("\ufeff \r\n\t").startswith("<") else _kvn_segments(text, faults)
     if not parts and not faults:
         raise OrbitFormatError("there is no segment in the OEM")
+    # Some producers begin each day with a segment, also where they have nothing for it, or write a state twice.
+    parts = [(meta, _without_repeats(rows)) for meta, rows in parts if rows] or parts
     segments = [_segment(meta, rows, f"segment {i}", faults) for i, (meta, rows) in enumerate(parts, 1)]
     if faults:
         more = f" and {len(faults) - 1} more" if len(faults) > 1 else ""
@@ -180,6 +182,10 @@ def _kvn_segments(text: str, faults: list[Fault]) -> list[Part]:
     return list(parts)
 
 
+def _without_repeats(rows: Sequence[Row]) -> Sequence[Row]:
+    return [row for i, row in enumerate(rows) if not i or row[1] != rows[i - 1][1]]
+
+
 def _next_place(line: KvnLine, where: str) -> str:
     after = {"META_START": "meta", "META_STOP": "states", "COVARIANCE_START": "covariance", "COVARIANCE_STOP": "states"}
     return where if line.keyword else after.get(line.value, where)
@@ -204,8 +210,8 @@ def _xml_segments(text: str, faults: list[Fault]) -> list[Part]:
 def _segment(meta: Mapping[str, str], rows: Sequence[Row], where: str, faults: list[Fault]) -> Segment | None:
     before = len(faults)
     faults.extend(Fault(f"{where}, {key}", "is missing") for key in _KEYS if not meta.get(key))
-    name = meta.get("REF_FRAME", "").upper()
-    if name and name not in known_frames():
+    name = meta.get("REF_FRAME", "")
+    if name and not is_known(name):
         faults.append(Fault(f"{where}, REF_FRAME", f"want one of {', '.join(known_frames())}", meta["REF_FRAME"]))
     if meta.get("CENTER_NAME", "EARTH").upper() != "EARTH":
         faults.append(Fault(f"{where}, CENTER_NAME", "want EARTH", meta["CENTER_NAME"]))
@@ -244,7 +250,7 @@ def _states(rows: Sequence[Row], faults: list[Fault]) -> tuple[Times, Floats]:
     for i, (place, cells) in enumerate(rows):
         try:
             epochs[i] = parse_epoch(cells[0])
-            numbers[i] = [float(cell) for cell in cells[1:7]]
+            numbers[i] = [number(cell) for cell in cells[1:7]]
         except TimeError as error:
             faults.append(Fault(place, error.message))
         except ValueError:
@@ -269,6 +275,8 @@ def _method(meta: Mapping[str, str], states: int, where: str, faults: list[Fault
         method, degree = "LAGRANGE", 1
     else:
         text = meta.get("INTERPOLATION_DEGREE", "")
+        if not text:
+            return method, min(DEFAULT_DEGREE, (2 * states if method == "HERMITE" else states) - 1)
         if not text.isdecimal() or not 1 <= int(text) <= _MAX_DEGREE:
             faults.append(Fault(f"{where}, INTERPOLATION_DEGREE", f"want 1 to {_MAX_DEGREE}", text))
             return method, 0

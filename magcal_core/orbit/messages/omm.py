@@ -16,7 +16,7 @@ from sgp4.api import WGS72, Satrec
 
 from magcal_core.errors import Fault, OrbitFormatError, TimeError
 from magcal_core.orbit.messages.epochs import parse_epoch
-from magcal_core.orbit.messages.kvn import find_all, kvn_lines, leaves, parse_xml
+from magcal_core.orbit.messages.kvn import find_all, kvn_lines, leaves, number, parse_xml
 from magcal_core.orbit.messages.tle import EARTH_RADIUS_SGP4_KM, apsides_km
 
 MAX_MESSAGES: Final = 100_000
@@ -37,9 +37,9 @@ _OPTIONAL: Final[Mapping[str, tuple[float, float]]] = {
     "BSTAR": (-10.0, 10.0),
     "MEAN_MOTION_DOT": (-1e3, 1e3),
     "MEAN_MOTION_DDOT": (-1e3, 1e3),
-    "NORAD_CAT_ID": (0, 999_999_999),
     "EPHEMERIS_TYPE": (0, 9),
 }
+_CATALOGUE: Final = re.compile(r"\+?0*\d{1,9}", re.ASCII)
 _FIXED: Final[Mapping[str, tuple[str, ...]]] = {
     "CENTER_NAME": ("EARTH",),
     "REF_FRAME": ("TEME",),
@@ -141,7 +141,7 @@ def _from_json(text: str) -> Sequence[Mapping[str, str]]:
     rows = content if isinstance(content, list) else [content]
     if not all(isinstance(row, dict) for row in rows):
         raise OrbitFormatError("OMM in JSON is an object or a list of objects")
-    return [{key: "" if value is None else str(value) for key, value in row.items()} for row in rows]
+    return [{key.upper(): "" if value is None else str(value) for key, value in row.items()} for row in rows]
 
 
 def _from_xml(text: str) -> Sequence[Mapping[str, str]]:
@@ -149,13 +149,17 @@ def _from_xml(text: str) -> Sequence[Mapping[str, str]]:
 
 
 def _from_csv(text: str) -> Sequence[Mapping[str, str]]:
-    rows = csv.DictReader(io.StringIO(text.removeprefix("\ufeff")), skipinitialspace=True)
+    header = text.partition("\n")[0]
+    separator = max(",;\t", key=header.count)
+    rows = csv.DictReader(io.StringIO(text), skipinitialspace=True, delimiter=separator)
     width = len(rows.fieldnames or ())
     records: list[Mapping[str, str]] = []
     faults: list[Fault] = []
     try:
         for row in rows:
-            given = {key.strip(): value for key, value in row.items() if isinstance(key, str) and value is not None}
+            given = {
+                key.strip().upper(): value for key, value in row.items() if isinstance(key, str) and value is not None
+            }
             if len(given) < width or None in row:
                 cells = len(given) + len(row.get(None) or ())
                 faults.append(Fault(f"line {rows.line_num}", f"{cells} cells, the header has {width}"))
@@ -199,6 +203,9 @@ def _omm(record: Mapping[str, str], where: str, faults: list[Fault]) -> Omm | No
     values = {key: _number(record, key, limits, where, faults) for key, limits in _NUMBERS.items()}
     for key, limits in _OPTIONAL.items():
         values[key] = _number(record, key, limits, where, faults) if record.get(key, "").strip() else 0.0
+    norad_id = record.get("NORAD_CAT_ID", "").strip()
+    if norad_id and not _CATALOGUE.fullmatch(norad_id):
+        faults.append(Fault(f"{where}, NORAD_CAT_ID", "want an integer of at most nine digits", norad_id[:40]))
     epoch = _epoch(record, where, faults)
     if len(faults) > before or epoch is None:
         return None
@@ -211,7 +218,7 @@ def _omm(record: Mapping[str, str], where: str, faults: list[Fault]) -> Omm | No
     cospar = record.get("OBJECT_ID", "").strip()
     return Omm(
         name=record.get("OBJECT_NAME", "").strip()[:100],
-        norad_id=str(int(values["NORAD_CAT_ID"])) if record.get("NORAD_CAT_ID", "").strip() else "",
+        norad_id=str(int(norad_id)) if norad_id else "",
         cospar_id=cospar if _COSPAR.fullmatch(cospar) else "",
         epoch_utc=epoch,
         mean_motion_rev_day=motion,
@@ -231,7 +238,7 @@ def _omm(record: Mapping[str, str], where: str, faults: list[Fault]) -> Omm | No
 def _number(record: Mapping[str, str], key: str, limits: tuple[float, float], where: str, faults: list[Fault]) -> float:
     text = record.get(key, "").strip()
     try:
-        value = float(text)
+        value = number(text)
     except ValueError:
         faults.append(Fault(f"{where}, {key}", "is not a number" if text else "is missing", text[:40]))
         return math.nan

@@ -11,8 +11,8 @@ from magcal_core.errors import Fault, OrbitFormatError, TimeError
 from magcal_core.orbit.earth.frames import FRAMES, Frame
 from magcal_core.orbit.messages.elements import elements_from_state
 from magcal_core.orbit.messages.epochs import TIME_SYSTEMS, parse_epoch, to_utc
-from magcal_core.orbit.messages.frames_of_date import in_known_frame, known_frames
-from magcal_core.orbit.messages.kvn import find_all, kvn_lines, leaves, parse_xml
+from magcal_core.orbit.messages.frames_of_date import in_known_frame, is_known, known_frames
+from magcal_core.orbit.messages.kvn import find_all, kvn_lines, leaves, number, parse_xml
 from magcal_core.orbit.messages.state import StateVector
 
 _STATE: Final = ("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")
@@ -61,7 +61,7 @@ def _opm(record: Mapping[str, str], where: str, faults: list[Fault]) -> tuple[St
     if record.get("CENTER_NAME", "EARTH").strip().upper() != "EARTH":
         faults.append(Fault(f"{where}, CENTER_NAME", "want EARTH", record["CENTER_NAME"]))
     name = record.get("REF_FRAME", "").strip()
-    if name and name.upper() not in known_frames():
+    if name and not is_known(name):
         faults.append(Fault(f"{where}, REF_FRAME", f"want one of {', '.join(known_frames())}", name))
     system = record.get("TIME_SYSTEM", "UTC").strip().upper()
     if system not in TIME_SYSTEMS:
@@ -70,7 +70,7 @@ def _opm(record: Mapping[str, str], where: str, faults: list[Fault]) -> tuple[St
         return None
     try:
         epoch = to_utc(np.array([parse_epoch(record["EPOCH"])]), system)
-        numbers = np.array([float(record[key]) for key in _STATE])
+        numbers = np.array([number(record[key]) for key in _STATE])
     except (TimeError, ValueError) as error:
         faults.append(Fault(where, f"want an epoch and six numbers: {error}"))
         return None
@@ -78,7 +78,7 @@ def _opm(record: Mapping[str, str], where: str, faults: list[Fault]) -> tuple[St
     if not np.isfinite(numbers).all() or not _RADIUS_KM[0] <= radius_km <= _RADIUS_KM[1]:
         faults.append(Fault(where, f"is {radius_km:.6g} km from the Earth's centre; want 6300 to 1000000 km"))
         return None
-    frame, r_km, v_km_s = in_known_frame(name.upper(), epoch, numbers[None, :3], numbers[None, 3:])
+    frame, r_km, v_km_s = in_known_frame(name, epoch, numbers[None, :3], numbers[None, 3:])
     known: Frame = next(one for one in FRAMES if one == frame)
     state = StateVector(epoch[0], known, r_km[0], v_km_s[0])
     if known != "ITRF":

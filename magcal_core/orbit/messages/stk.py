@@ -8,7 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_core.errors import Fault, OrbitFormatError
+from magcal_core.errors import Fault, OrbitFormatError, TimeError
+from magcal_core.orbit.messages.epochs import parse_epoch
+from magcal_core.orbit.messages.kvn import number as _number
 from magcal_core.orbit.messages.oem_text import Ephemeris
 
 FRAME_OF_STK: Final = {
@@ -47,6 +49,8 @@ def parse_stk(text: str) -> str:
     if faults or frame is None or factor is None or epoch is None:
         more = f" and {len(faults) - 1} more" if len(faults) > 1 else ""
         raise OrbitFormatError(f"STK ephemeris, {faults[0].where}: {faults[0].why}{more}", faults)
+    # At the boundary of two segments STK writes a state twice.
+    numbers = numbers[np.r_[True, (np.diff(numbers[:, :4], axis=0) != 0.0).any(axis=1)]] if len(numbers) else numbers
     t_utc = epoch + np.rint(numbers[:, 0] * 1e9).astype("timedelta64[ns]")
     v_km_s = numbers[:, 4:7] * factor if numbers.shape[1] >= 7 else None
     method, degree = _method(said, v_km_s is not None)
@@ -68,7 +72,7 @@ def _parts(text: str) -> tuple[dict[str, str], list[tuple[int, list[str]]]]:
             said["table"] = keyword
         elif "table" in said and (cells[0][0].isdigit() or cells[0][0] in "+-."):
             rows.append((number, cells))
-        elif keyword == "end":
+        elif keyword == "end" and value.lower() in ("", "ephemeris"):
             break
         else:
             said.setdefault(keyword, value)
@@ -77,14 +81,20 @@ def _parts(text: str) -> tuple[dict[str, str], list[tuple[int, list[str]]]]:
 
 def _epoch(said: dict[str, str], faults: list[Fault]) -> np.datetime64 | None:
     text = said.get("scenarioepoch", "")
-    for pattern in ("%d %b %Y %H:%M:%S.%f", "%d %b %Y %H:%M:%S", "%Y-%m-%dT%H:%M:%S.%f", "%Y-%m-%dT%H:%M:%S"):
+    whole, _, fraction = text.removesuffix("Z").removesuffix("UTCG").strip().partition(".")
+    for pattern in ("%d %b %Y %H:%M:%S", "%Y-%m-%dT%H:%M:%S", "%Y-%m-%d %H:%M:%S"):
         try:
-            moment = datetime.strptime(text.removesuffix("Z")[:40], pattern)  # noqa: DTZ007 - UTC, as STK has it
+            moment = datetime.strptime(whole[:40], pattern)  # noqa: DTZ007 - UTC, as STK has it
         except ValueError:
             continue
-        return np.datetime64(moment, "ns")
-    faults.append(Fault("ScenarioEpoch", "want a time such as 19 Feb 2022 22:37:44.000", text[:40]))
-    return None
+        if fraction and not fraction.isdecimal():
+            break
+        return np.datetime64(moment, "ns") + np.timedelta64(int((fraction + "0" * 9)[:9]), "ns")
+    try:
+        return parse_epoch(text)
+    except TimeError:
+        faults.append(Fault("ScenarioEpoch", "want a time such as 19 Feb 2022 22:37:44.000", text[:40]))
+        return None
 
 
 def _numbers(rows: list[tuple[int, list[str]]], table: str, faults: list[Fault]) -> NDArray[np.float64]:
@@ -94,7 +104,7 @@ def _numbers(rows: list[tuple[int, list[str]]], table: str, faults: list[Fault])
     values: list[list[float]] = []
     for number, cells in rows:
         try:
-            found = [float(cell) for cell in cells]
+            found = [_number(cell) for cell in cells]
         except ValueError:
             found = []
         if len(found) != width or not np.isfinite(found).all():

@@ -148,8 +148,7 @@ def parse_tles(text: str) -> list[Tle]:
         A column, a range, the order of the lines or a catalogue number is wrong, or there is no TLE at all;
         ``faults`` has line and column of each.
     """
-    faults: list[Fault] = []
-    tles = [tle for group in _groups(text, faults) if (tle := _parse_group(group, faults)) is not None]
+    tles, faults = read_tles(text)
     if faults:
         kind = TleChecksumError if all(fault.why.startswith("checksum digit") for fault in faults) else TleFormatError
         more = f" and {len(faults) - 1} more" if len(faults) > 1 else ""
@@ -157,6 +156,16 @@ def parse_tles(text: str) -> list[Tle]:
     if not tles:
         raise TleFormatError("there is no TLE in the text", [Fault("line 1", "want two lines of 69 columns")])
     return tles
+
+
+def read_tles(text: str) -> tuple[list[Tle], list[Fault]]:
+    """Return the TLEs of a text that are whole, in their order, and every fault of what is not, with line and column.
+
+    `parse_tles` is what refuses a text that has a fault.
+    """
+    faults: list[Fault] = []
+    tles = [tle for group in _groups(text, faults) if (tle := _parse_group(group, faults)) is not None]
+    return tles, faults
 
 
 def checksum(line: str) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ import yaml
 
 from app.aboard.repository import not_aboard
 from app.jobs.tables import Job
+from app.parameter_sets.fprime_file import parameter_file, records_of
 from app.parameter_sets.tables import ParameterSet
 from app.storage.database import new_id, utc_now
 from magcal_core.sensor.model import SensorModel
@@ -158,9 +160,94 @@ def test_a_listing_of_a_gomspace_console_and_a_dump_of_f_prime_are_read(api, set
     np.testing.assert_array_equal(np.float32(offset), np.float32(BIAS))
 
 
+GOLDEN = bytes.fromhex(
+    "23b60833a50000001000001a05449a522cc5129add43acd6e6a50000001000001a063fc000003f00000040000000a50000002800001a07"
+    "3f8000000000000000000000000000003f8000000000000000000000000000003f800000"
+)
+"""What `fprime-prm-write` of fprime-gds 4.4.1 makes of `BIAS`, scale (1.5, 0.5, 2) and no rotation, ids from 0x1A05."""
+
+
+def file_of(api: httpx2.Client, set_id: str, **query: object) -> bytes:
+    answer = api.get(f"/parameter-sets/{set_id}/export", params={"format": "fprime-dat", **query})
+    assert answer.headers["content-type"] == "application/octet-stream"
+    return answer.content
+
+
+def records(content: bytes) -> list[tuple[int, np.ndarray]]:
+    """Return id and numbers of the records of a file without a CRC, by F Prime's documentation (Svc/PrmDb, 3.2)."""
+    found = []
+    while content:
+        assert content[0] == 0xA5
+        size = int.from_bytes(content[1:5], "big")
+        found.append((int.from_bytes(content[5:9], "big"), np.frombuffer(content[9 : 5 + size], ">f4")))
+        content = content[5 + size :]
+    return found
+
+
+def test_a_parameter_file_of_f_prime_is_that_of_its_own_tools():
+    numbers = {"mgm_offset": BIAS, "mgm_scale": [1.5, 0.5, 2.0], "mgm_rotation": np.eye(3).ravel().tolist()}
+    assert parameter_file(numbers, 0x1A05, has_crc=True) == GOLDEN
+    assert parameter_file(numbers, 0x1A05, has_crc=False) == GOLDEN[4:]
+    with pytest.raises(ValueError, match="cut"):
+        list(records_of(GOLDEN[4:-1]))
+    with pytest.raises(ValueError, match="0xA5"):
+        list(records_of(GOLDEN[:-1] + b"\1"))
+
+
+def test_a_parameter_file_goes_up_and_comes_back_with_the_rest_of_the_deployments(api, sets):
+    """The flight computer's own file has other parameters, too, and any order; an old one has no CRC; F64 is read."""
+    current, older = sets
+    plain = file_of(api, current, first_id=0x1A05, crc=False)
+    found = records(plain)
+    assert [(number, len(values)) for number, values in found] == [(0x1A05, 3), (0x1A06, 3), (0x1A07, 9), (0x1A08, 3)]
+    np.testing.assert_array_equal(found[0][1], np.float32(BIAS))
+    np.testing.assert_array_equal(found[3][1], np.float32([1.25, -0.5, 0.125]))
+    other = bytes([0xA5, 0, 0, 0, 5, 0, 0, 0x10, 0, 7])
+    doubles = b"".join(
+        bytes([0xA5]) + (4 + 8 * len(v)).to_bytes(4, "big") + n.to_bytes(4, "big") + v.astype(">f8").tobytes()
+        for n, v in reversed(found)
+    )
+    for content in (plain, file_of(api, current, first_id=0x1A05), other + plain + other, doubles):
+        answer = report(api, current, "fprime-dat", base64.b64encode(content).decode(), first_id=0x1A05)
+        assert (answer["state"], answer["differences"]) == ("confirmed", [])
+    content = base64.b64encode(file_of(api, older, first_id=0x1A05)).decode()
+    answer = report(api, current, "fprime-dat", content, first_id=0x1A05)
+    assert (answer["state"], answer["matches_parameter_set_id"]) == ("different", older)
+    assert "mgm_offset[0]" in {one["name"] for one in answer["differences"]}
+
+
+def test_an_export_of_the_set_in_force_is_noted_once_and_never_steps_back(service, api, satellite, sets):
+    current, older = sets
+
+    def told() -> str:
+        (line,) = (one["text"] for one in api.get("/attention", params={"satellite": satellite}).json()["items"]
+                   if one["code"] == "not_aboard")  # fmt: skip
+        return line
+
+    def states(set_id: str) -> list[str]:
+        return [one["state"] for one in api.get(f"/parameter-sets/{set_id}/aboard").json()["items"]]
+
+    assert "nobody has reported it aboard" in told()
+    for _ in range(3):
+        export(api, current, "gomspace")
+        export(api, older, "gomspace")
+    assert (states(current), states(older)) == (["exported"], [])
+    assert "it was exported, not confirmed aboard" in told()
+    api.post(f"/parameter-sets/{current}/aboard", json={"state": "uploaded"}).raise_for_status()
+    content = export(api, current, "yaml")
+    assert states(current) == ["uploaded", "exported"]
+    assert "it was uploaded, not confirmed aboard" in told()
+    report(api, current, "yaml", content)
+    export(api, current, "yaml")
+    assert states(current) == ["confirmed", "uploaded", "exported"]
+
+
 @pytest.mark.parametrize(
     ("form", "content"),
     [
+        ("fprime-dat", "no base64!"),
+        ("fprime-dat", base64.b64encode(GOLDEN[:-3]).decode()),
+        ("fprime-dat", base64.b64encode(GOLDEN).decode()),
         ("json", "{"),
         ("json", "{}"),
         ("json", '{"parameters": {"bias_nt": [1, 2, 3]}}'),

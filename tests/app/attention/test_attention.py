@@ -113,6 +113,33 @@ def test_an_orbit_of_another_object_is_told_until_it_is_withdrawn(api, orbited):
     assert "orbit_other_object" not in entries(api, orbited)
 
 
+def test_one_press_takes_the_orbit_of_another_object_out_of_use_where_the_own_is_there(api, orbited):
+    """A later TLE of another object, kept by force: the button withdraws it, and the satellite's own serves again."""
+    own = api.get(f"/satellites/{orbited}/orbits").json()["items"][0]
+    api.patch(f"/satellites/{orbited}", json={"norad_id": "46493"}).raise_for_status()
+    lines = [line for line in tle_text().splitlines() if line[:2] in {"1 ", "2 "}][:2]
+    changed = [_checked(line.replace("46493", "25544")) for line in lines]
+    later = "\n".join([_checked(changed[0][:18] + "23001.50000000" + changed[0][32:]), changed[1]])
+    path = f"/satellites/{orbited}/orbits"
+    assert api.post(path, content=later, headers=PLAIN).json()["code"] == "other_object"
+    wrong = api.post(f"{path}?force=true", content=later, headers=PLAIN).raise_for_status().json()["items"][0]["id"]
+    told = entries(api, orbited)["orbit_other_object"]
+    day = datetime.fromisoformat(own["epoch"])
+    assert told["text"] == "TLE is of NORAD 25544, the satellite is 46493"
+    assert told["action"]["label"] == f"Use the own orbit of {day.day} {day:%b %Y}"
+    assert told["action"]["path"].endswith(f"/orbits/{wrong}/withdraw")
+    press(api, told)
+    assert "orbit_other_object" not in entries(api, orbited)
+    (serving,) = api.get(path, params={"at": "2023-01-01T12:00:00Z"}).json()["items"]
+    assert serving["id"] == own["id"]
+
+
+def _checked(line: str) -> str:
+    """Return a line of a TLE with its check digit made anew."""
+    total = sum(int(one) if one.isdigit() else one == "-" for one in line[:68])
+    return f"{line[:68]}{total % 10}"
+
+
 def test_a_withdrawn_orbit_serves_no_calibration(api, orbited, flown):
     for orbit in api.get(f"/satellites/{orbited}/orbits").json()["items"]:
         api.post(f"/satellites/{orbited}/orbits/{orbit['id']}/withdraw").raise_for_status()
@@ -250,3 +277,21 @@ def test_the_fleet_is_searched_sorted_and_counted_by_the_service(service, api, n
     assert [one["satellite"] for one in rest["items"]] == [made[2]]
     assert api.get("/fleet", params={"q": "lantern", "state": "act"}).json()["total"] == 1
     assert api.get("/fleet", params={"q": "lantern", "sort": "nonsense"}).status_code == 422
+
+
+@pytest.mark.parametrize("path", ["/attention", "/fleet"])
+def test_who_has_the_list_already_is_told_so_until_it_changes(service, path, names):
+    """By a key of one satellite alone: what other tests do changes nothing of it."""
+    own = next(names)
+    with service.client() as admin, service.client(service.key("read", satellites=[own])) as reader:
+        admin.post("/satellites", json={"id": own}).raise_for_status()
+        first = reader.get(path)
+        tag = first.headers["etag"]
+        assert first.headers["cache-control"] == "private, no-cache"
+        again = reader.get(path, headers={"If-None-Match": tag})
+        assert (again.status_code, again.content, again.headers["etag"]) == (304, b"", tag)
+        admin.post(f"/satellites/{own}/magnetometers", json={"id": "mgm", "unit": "nT"}).raise_for_status()
+        changed = reader.get(path, headers={"If-None-Match": tag})
+        assert changed.status_code == 200
+        assert changed.headers["etag"] != tag
+        assert len(changed.json()["items"]) == 1

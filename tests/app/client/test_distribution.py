@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import ast
 import json
+import shutil
 import socket
+import subprocess
 import sys
 import threading
 import tomllib
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -46,6 +49,53 @@ def test_it_is_small_reads_as_python_3_9_and_needs_only_what_it_says():
             names = [one.name for one in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             assert {one.partition(".")[0] for one in names} <= allowed, path.name
+
+
+def test_no_line_needs_a_newer_python_than_3_9():
+    """By `vermin`, which knows since when every construct, module, function and argument exists."""
+    done = subprocess.run(
+        [Path(sys.executable).with_name("vermin"), "-t=3.9-", "--no-tips", "--no-parse-comments", HOME],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout
+    assert "Minimum required versions: 3." in done.stdout
+
+
+def test_its_wheel_is_below_100_kb_and_is_whole_by_itself(tmp_path):
+    """Built as it is published; imported from the wheel alone, with nothing of the service on the path."""
+    source = tmp_path / "source"
+    shutil.copytree(HOME, source, ignore=shutil.ignore_patterns("__pycache__", ".*"))
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", tmp_path]
+    subprocess.run(command, cwd=source, capture_output=True, check=True)
+    (wheel,) = tmp_path.glob("magcal_client-*.whl")
+    assert wheel.stat().st_size < 100_000
+    with zipfile.ZipFile(wheel) as packed:
+        names = {one for one in packed.namelist() if one.startswith("magcal_client/")}
+        metadata = next(packed.read(one).decode() for one in packed.namelist() if one.endswith("METADATA"))
+    assert names == {f"magcal_client/{one.name}" for one in HOME.glob("*.py")} | {"magcal_client/py.typed"}
+    assert "Requires-Python: >=3.9" in metadata
+    code = "import sys; sys.path.insert(0, sys.argv[1]); import magcal_client.push as one; print(one.__file__)"
+    command = [sys.executable, "-W", "error", "-c", code, str(wheel)]
+    assert subprocess.check_output(command, cwd=tmp_path, text=True).startswith(str(wheel))
+
+
+def test_tables_come_as_data_frames(service, satellite):
+    """The rows that were sent, with times in UTC; from both clients."""
+    telemetry = write_samples(simulated(SESSIONS[0], 50).samples, "csv")
+    with Client(service.url, service.admin_key) as client:
+        session = client.upload(satellite, "mgm", telemetry, "text/csv")
+        path = f"/sessions/{session['id']}/samples"
+        frame = client.to_dataframe(path)
+
+    async def fetch() -> object:
+        async with AsyncClient(service.url, service.admin_key) as awaiting:
+            return await awaiting.to_dataframe(path)
+
+    sent = [line.split(",") for line in telemetry.decode().splitlines()]
+    assert len(frame) == len(sent) - 1
+    assert str(frame["time"].dt.tz) == "UTC"
+    assert frame["bx"].tolist() == [float(row[sent[0].index("bx")]) for row in sent[1:]]
+    assert frame.equals(run_apart(fetch()))
 
 
 def test_the_services_own_client_is_the_same():

@@ -7,10 +7,11 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
 import pytest
 from sqlalchemy import select, update
 
@@ -19,9 +20,10 @@ from app.connectors.orbits.watch import OrbitWatch, start_again, stopped, stoppe
 from app.connectors.tables import ConnectorRequest
 from app.orbits.tables import OrbitRow
 from app.outbox.tables import OutboxEntry
-from app.satellites.tables import Satellite
+from app.satellites.tables import Magnetometer, Satellite
+from app.sessions.tables import TelemetrySession
 from app.settings import Settings
-from app.storage.database import Database, utc_now
+from app.storage.database import Database, new_id, utc_now
 from app.storage.exclusive import Exclusive
 from app.storage.migration import upgrade
 
@@ -298,3 +300,130 @@ def test_nothing_is_asked_with_default_settings(new_service, serve):
         api.post("/satellites", json={"id": "a", "norad_id": "25544"}).raise_for_status()
         api.get("/satellites/a").raise_for_status()
     assert fake.asked == []
+
+
+def space_track(elements, log):
+    """Answer as Space-Track does, ``gp`` and ``gp_history`` by its ranges of EPOCH; ``log`` has the day's queries."""
+
+    def answer(asked):
+        if asked.path == "/ajaxauth/login":
+            return 200, {"set-cookie": "chocolatechip=1; Path=/"}, b'""'
+        words = asked.path.removeprefix("/basicspacedata/query/").split("/")
+        query = dict(zip(words[::2], words[1::2], strict=True))
+        number = int(query["NORAD_CAT_ID"])
+        epochs = elements
+        if query["class"] == "gp_history":
+            first, last = query["EPOCH"].split("--")
+            log.append((number, first, last))
+            epochs = [one for one in elements if first <= one < last]
+        else:
+            epochs = sorted(elements)[-1:]
+        found = [{name: str(value) for name, value in omm(number, epoch=one).items()} for one in epochs]
+        return 200, {}, json.dumps(found).encode()
+
+    return answer
+
+
+def keep_session(database: Database, begin: str, hours: float = 3.0, satellite: str = "a") -> None:
+    first = datetime.fromisoformat(begin).replace(tzinfo=UTC)
+    with database.write() as session:
+        if session.get(Magnetometer, (satellite, "m")) is None:
+            session.add(Magnetometer(satellite_id=satellite, id="m", unit="nT", created_at=utc_now()))
+            session.flush()
+        session.add(
+            TelemetrySession(
+                id=new_id(),
+                satellite_id=satellite,
+                magnetometer_id="m",
+                state="closed",
+                size_bytes=1,
+                samples=1,
+                used_samples=1,
+                data_from=first,
+                data_until=first + timedelta(hours=hours),
+                columns=[],
+                quality={},
+                sha256=new_id(),
+                created_at=utc_now(),
+            )
+        )
+
+
+@pytest.fixture
+def track(serve, tmp_path):
+    """Space-Track with elements at noon of each day of 2022 and of yesterday, its settings, its queries of the past."""
+    days = [str(np.datetime64("2022-01-01") + day) + "T12:00:00" for day in range(365)]
+    recent = (utc_now() - timedelta(days=1)).strftime("%Y-%m-%dT%H:%M:%S")
+    log: list[tuple[int, str, str]] = []
+    fake = serve(space_track([*days, recent], log))
+    secret = tmp_path / "password"
+    secret.write_text("secret\n")
+    settings = Settings(
+        data_dir=tmp_path, space_track_url=fake.url, space_track_user="me", space_track_password_file=secret
+    )
+    return fake, settings, log
+
+
+def test_the_elements_of_the_past_about_sessions_are_fetched_and_each_span_once(database, track):
+    """Two sessions of one month are one query, one of November is another; one that has an orbit near is none."""
+    _, settings, log = track
+    add(database, a="25544", b="25545")
+    for begin in ("2022-02-19T22:37:44", "2022-03-10T01:00:00", "2022-11-05T12:00:00"):
+        keep_session(database, begin)
+    assert look(database, settings, "space-track") == [("a", "new"), ("a", "past"), ("b", "new")]
+    assert log == [(25544, "2022-02-17", "2022-03-13")]
+    for _ in range(3):
+        assert look(database, settings, "space-track") == [("a", "not yet"), ("b", "not yet")]
+    hours_go_by(database, 2.3)
+    assert look(database, settings, "space-track") == [("a", "not yet"), ("a", "past"), ("b", "not yet")]
+    assert log[1:] == [(25544, "2022-11-03", "2022-11-08")]
+    kept = sorted(str(row.epoch)[:10] for row in orbits(database) if row.satellite_id == "a")[:-1]
+    assert kept == [
+        str(day) for first, last in (log[0][1:], log[1][1:]) for day in np.arange(first, last, dtype="M8[D]")
+    ]
+    hours_go_by(database, 30.0)
+    look(database, settings, "space-track")
+    assert len(log) == 2
+
+
+def test_a_past_without_elements_is_asked_for_once_and_an_outage_again(database, track):
+    fake, settings, log = track
+    add(database, a="25544")
+    keep_session(database, "2019-05-05T00:00:00")
+    whole = fake.answer
+    fake.answer = lambda asked: (200, {}, b"<html>maintenance</html>") if "history" in asked.path else whole(asked)
+    assert look(database, settings, "space-track") == [("a", "new"), ("a", "failed")]
+    fake.answer = whole
+    hours_go_by(database, 2.3)
+    assert look(database, settings, "space-track") == [("a", "not yet"), ("a", "no past")]
+    hours_go_by(database, 2.3)
+    assert look(database, settings, "space-track") == [("a", "not yet")]
+    assert log == [(25544, "2019-05-03", "2019-05-08")]
+    fake.answer = lambda asked: (403, {}, b"") if "history" in asked.path else whole(asked)
+    keep_session(database, "2020-05-05T00:00:00")
+    hours_go_by(database, 2.3)
+    assert look(database, settings, "space-track")[-1] == ("a", "failed")
+    asked = len(fake.asked)
+    hours_go_by(database, 100.0)
+    look(database, settings, "space-track")
+    assert len(fake.asked) == asked
+    assert "403" in stopped_sources(database)[0]
+
+
+def test_the_limits_hold_for_both_classes_together_over_restarts(database, track):
+    """Ten satellites with a session each: 15 asks are a minute's 30 requests; 300 an hour are 150 asks of any kind."""
+    fake, settings, _ = track
+    add(database, **{f"s{n:02d}": str(30000 + n) for n in range(10)})
+    for n in range(10):
+        keep_session(database, "2022-06-01T00:00:00", satellite=f"s{n:02d}")
+    states = [state for _ in range(3) for _, state in look(database, settings, "space-track")]
+    assert (states.count("new"), states.count("past"), len(fake.asked)) == (8, 7, 30)
+    with database.write() as session:
+        earlier = utc_now() - timedelta(minutes=5)
+        session.execute(update(ConnectorRequest).values(asked_at=earlier))
+        session.add_all(
+            ConnectorRequest(id=new_id(), source="space-track-past", satellite_id="s00", asked_at=earlier)
+            for _ in range(135 - 2)
+        )
+    look(database, settings, "space-track")
+    assert len(fake.asked) == 30 + 2 * 2

@@ -16,7 +16,7 @@ from sqlalchemy import select
 
 from app.access.caller import SYSTEM
 from app.connectors.http import SourceAnswerError, SourceContentError
-from app.connectors.telemetry.contract import PullOptionError, Wanted
+from app.connectors.telemetry.contract import PullOptionError, Wanted, instant
 from app.connectors.telemetry.pull import Pull
 from app.connectors.telemetry.registry import ARCHIVES
 from app.connectors.telemetry.satnogs import SatNogs
@@ -130,6 +130,107 @@ def test_ten_thousand_rows_over_five_pages_killed_at_each_page_are_all_there_and
     assert sorted(numbers(database, settings)) == list(range(10_000))
 
 
+def history(rows: int, step_s: float, page: int):
+    """Answer as Yamcs' parameter archive does: one parameter, ``page`` values at the most, a token for what is left."""
+
+    def answer(asked):
+        name = asked.path.removeprefix("/api/archive/sim/parameters")
+        if name not in MAP.values() or asked.query["order"] != "asc":
+            return 404, {}, b'{"exception": {"type": "NotFoundException"}}'
+        start, stop = (datetime.fromisoformat(asked.query[one]) for one in ("start", "stop"))
+        first = int(asked.query.get("next", max(0, int(np.ceil((start - BEGIN).total_seconds() / step_s)))))
+        last = min(rows, int(np.ceil((stop - BEGIN).total_seconds() / step_s)))
+        end = min(last, first + min(page, int(asked.query["limit"])))
+        axis = list(MAP.values()).index(name)
+        values = [
+            {
+                "id": {"name": name},
+                "engValue": {"type": "FLOAT", "floatValue": reading(number)[axis]},
+                "generationTime": (BEGIN + timedelta(seconds=number * step_s)).isoformat()[:19] + ".000Z",
+                "acquisitionStatus": "ACQUIRED",
+            }
+            for number in range(first, end)
+        ]
+        document = {"parameter": values} | ({"continuationToken": str(end)} if end < last else {})
+        return 200, {"content-type": "application/json"}, json.dumps(document).encode()
+
+    return answer
+
+
+@pytest.mark.slow
+def test_a_history_of_five_pages_of_ten_thousand_rows_is_all_there_after_a_kill_at_each(
+    database, settings, serve, tmp_path
+):
+    """A server that has no export: each process dies as it asks for another page of the last parameter's."""
+    whole = history(50_000, 1.0, 10_000)
+    places: set[str] = set()
+
+    def answer(asked):
+        place = asked.query.get("next", asked.query.get("start", ""))
+        if asked.path.endswith("/z") and place not in places and len(places) < 5:
+            places.add(place)
+            os.kill(process.pid, 9)
+        return whole(asked)
+
+    fake = serve(answer)
+    environment = os.environ | {"MAGCAL_DATA_DIR": str(tmp_path), "MAGCAL_MAX_BAD_SAMPLES": "1"}
+    command = [
+        Path(sys.executable).with_name("magcal"), "pull", "yamcs", "--base-url", fake.url, "--satellite", "sat",
+        "--magnetometer", "mgm", "--instance", "sim", "--columns", json.dumps(MAP), "--since", BEGIN.isoformat(),
+        "--once",
+    ]  # fmt: skip
+    killed = 0
+    for _ in range(9):
+        process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        _, errors = process.communicate()
+        if process.returncode == 0:
+            break
+        assert process.returncode == -9, errors
+        killed += 1
+    assert killed == 5
+    assert sorted(numbers(database, settings)) == list(range(50_000))
+
+
+def test_a_history_is_asked_for_where_told_and_its_parameters_may_part(database, settings, serve):
+    """y has no value at every seventh time, z is invalid at one: those cells are gaps; a loop of tokens is told."""
+    whole = history(200, 10.0, 30)
+
+    def answer(asked):
+        status, headers, body = whole(asked)
+        document = json.loads(body)
+        if asked.path.endswith("/y"):
+            document["parameter"] = [one for i, one in enumerate(document["parameter"]) if i % 7]
+        if asked.path.endswith("/z") and "next" not in asked.query:
+            document["parameter"][3]["acquisitionStatus"] = "INVALID"
+        return status, headers, json.dumps(document).encode()
+
+    fake = serve(answer)
+    wanted = Wanted(fake.url, MAP, "sim", BEGIN, by_history=True)
+    assert sum(one.rows for one in pull_of(database, settings, "yamcs", wanted).run()) == 200
+    assert {one.path.rpartition("/")[0] for one in fake.asked} == {"/api/archive/sim/parameters/MAG"}
+    assert sorted(numbers(database, settings)) == list(range(200))
+    fake.answer = lambda _asked: (200, {}, b'{"parameter": [], "continuationToken": "again"}')
+    with pytest.raises(SourceContentError, match="goes on with the page that it had"):
+        list(pull_of(database, settings, "yamcs", wanted).run())
+    fake.answer = lambda _asked: (404, {}, b"")
+    with pytest.raises(SourceAnswerError, match="404"):
+        list(pull_of(database, settings, "yamcs", Wanted(fake.url, MAP, "none", BEGIN)).run())
+
+
+@pytest.mark.parametrize(
+    ("text", "iso"),
+    [
+        ("2026-305T01:02:03.5Z", "2026-11-01T01:02:03.500000+00:00"),
+        ("2026-305Z", "2026-11-01T00:00:00+00:00"),
+        ("2026-11-01Z", "2026-11-01T00:00:00+00:00"),
+        ("2026-11-01T02:00+02:00", "2026-11-01T00:00:00+00:00"),
+        ("2026-11-01 01:02:03", "2026-11-01T01:02:03+00:00"),
+    ],
+)
+def test_times_of_archives_are_read_in_every_form_that_hapi_allows(text: str, iso: str):
+    assert instant(text).isoformat() == iso
+
+
 def test_a_pull_goes_on_where_it_stopped_and_a_gap_is_passed(database, settings, serve):
     fake = serve(yamcs(100, 10.0))
     wanted = Wanted(fake.url, MAP, "sim", BEGIN)
@@ -219,7 +320,8 @@ def hapi(asked):
         if begin <= time < end:
             values = (-1e31,) * 3 if number == 7 else reading(number)
             lines.append(f"{time:%Y-%m-%dT%H:%M:%S}.000Z,{','.join(map(repr, values))}\n")
-    return 200, {}, "".join(lines).encode()
+    header = "".join(f"#{line}\n" for line in json.dumps(info | {"about": ['a "b', 1] * 400}, indent=1).splitlines())
+    return 200, {}, (header + "".join(lines)).encode()
 
 
 def test_hapi_is_read_as_far_as_it_reaches_and_fill_values_are_none(database, settings, serve):

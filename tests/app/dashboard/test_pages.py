@@ -172,7 +172,7 @@ def shown(mission) -> dict[str, set[str]]:
     return {
         "/": {"/attention?limit=100&total=true", "/fleet?limit=50&sort=worst", "/fleet?limit=1"},
         f"/satellites/{satellite}": {f"/satellites/{satellite}", f"/overview?satellite={satellite}"},
-        f"/sessions/{session}": {f"/sessions/{session}"},
+        f"/sessions/{session}": {f"/sessions/{session}", f"/jobs?kind=calibration&limit=1&session={session}"},
         f"/parameter-sets/{sets[0]}": {f"/parameter-sets/{sets[0]}"},
         f"/compare?first={sets[0]}&second={sets[1]}": {f"/parameter-sets/{one}" for one in sets},
         "/jobs": {"/jobs?limit=50&sort=-created&total=true"},

@@ -139,6 +139,29 @@ def test_the_csv_of_a_hapi_server_is_read_by_its_header_and_its_fill_values(inde
     assert 'the column map {"bx": "B_VFM_0", "by": "B_VFM_1", "bz": "B_VFM_2"}' in message(body)
 
 
+@pytest.mark.parametrize("indent", [None, 1])
+def test_a_hapi_header_of_hundreds_of_lines_or_of_one_long_one_is_read(indent: int | None) -> None:
+    """400 parameters more than are looked at: 2,000 lines and more, or one of 40 kB; fill values as numbers, too."""
+    more = [
+        {"name": f"hk_{i}", "type": "double", "units": None, "fill": -999, "description": 'a "b"'} for i in range(400)
+    ]
+    document = HAPI | {"parameters": [*HAPI["parameters"], *more]}  # type: ignore[misc]
+    header = "".join(f"#{line}\n" for line in json.dumps(document, indent=indent).splitlines())
+    assert (header.count("\n") > 2000) if indent else (len(header) > 30_000)
+    cells = ",".join(["-999", *(["1.5"] * 399)])
+    body = header + "\n".join(f"{row},{20 + i},{cells}" for i, row in enumerate(ROWS))
+    telemetry = read(body, columns={"bx": "B_VFM_0", "by": "B_VFM_1", "bz": "B_VFM_2"})
+    np.testing.assert_array_equal(telemetry.samples.h_nt, H_NT)
+    assert telemetry.samples.housekeeping["hk_399"][0] == 1.5
+    assert telemetry.quality.flags.get("no_housekeeping", 0) == len(ROWS)
+
+
+def test_a_comment_has_a_limit_of_its_own_and_rows_keep_theirs() -> None:
+    assert_plain(read(f"#{'x' * 900_000}\n{PLAIN}"))
+    assert "line 1 is longer than 1048576 bytes" in message(f"#{'x' * 1_100_000}\n{PLAIN}")
+    assert "line 2 is longer than 4096 bytes" in message(PLAIN.replace("\n", f"\n{'1' * 5000}", 1))
+
+
 def test_a_list_of_json_objects_is_a_table() -> None:
     assert_plain(read(json.dumps(OBJECTS)))
     assert "row 3: not a JSON object" in message(json.dumps([*OBJECTS[:2], 5]))

@@ -7,6 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from magcal_core.calibration.estimators.closed_form_rows import InverseRows
 from magcal_core.calibration.estimators.contract import FitSettings
 from magcal_core.calibration.estimators.registry import ESTIMATORS
 from magcal_core.observations import Observations
@@ -110,3 +111,23 @@ def test_attenuation_is_the_predicted_one_and_white_noise_model_removes_it(missi
     mended = fit(flown.samples, FitSettings(noise_model="white", noise_nt=2000.0))
     off = np.abs(mended.parameters.vector - flown.truth) / mended.formal_standard_errors.vector
     assert off.max() < 4.0
+
+
+def rows_of(unknowns):
+    """The rows at unknowns row by row: what is below, the gain, the intercept."""
+    below = np.zeros((3, 3))
+    below[1, 0], below[2, 0], below[2, 1] = unknowns[[2, 5, 6]]
+    one, none = np.ones(1), np.zeros((1, 3))
+    return InverseRows(none, none, unknowns[[0, 3, 7]], below, unknowns[[1, 4, 8]], none, np.ones(3), one)
+
+
+def test_the_derivatives_of_matrix_and_bias_are_those_of_differences():
+    """Central differences of a smooth function by 1e-6 of each unknown: right to 1e-9 of the derivative."""
+    at = np.array([1.3, 900.0, 0.2, -0.8, -1500.0, -0.1, 0.3, 1.7, 400.0])
+    jacobian = rows_of(at).jacobian()
+    for column, value in enumerate(at):
+        step = 1e-6 * abs(value) * np.eye(9)[column]
+        later, sooner = rows_of(at + step), rows_of(at - step)
+        change = [(later.matrix - sooner.matrix)[np.tril_indices(3)], later.bias_nt - sooner.bias_nt]
+        expected = np.concatenate(change) / (2e-6 * abs(value))
+        np.testing.assert_allclose(jacobian[:, column], expected, rtol=1e-8, atol=1e-9)

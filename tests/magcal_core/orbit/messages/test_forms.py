@@ -1,6 +1,9 @@
 """The forms of orbit files: each is read as the orbit that it is of, or named."""
 
+import gzip
 import json
+import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +14,7 @@ from magcal_core.orbit.earth.frames import convert_state
 from magcal_core.orbit.messages.forms import FORMS
 from magcal_core.orbit.messages.frames_of_date import OF_DATE, in_known_frame
 from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
-from magcal_core.orbit.sources import OrbitSource, parse_sources
+from magcal_core.orbit.sources import MAX_BYTES, OrbitSource, parse_sources
 
 T0 = np.datetime64("2022-02-19T22:00:00", "ns")
 GPS_MINUS_UTC = np.timedelta64(18, "s")
@@ -332,3 +335,188 @@ def test_every_form_that_is_read_has_a_reader(name):
 def test_no_text_escapes_as_another_error(noise):
     with pytest.raises((InputError, EncodingError)):
         parse_sources(noise)
+
+
+def d_exponents(text: str) -> str:
+    return re.sub(r"(\d)e([+-]\d)", r"\1D\2", text)
+
+
+def repeated(text: str, line: int) -> str:
+    lines = text.splitlines()
+    return "\n".join([*lines[:line], lines[line - 1], *lines[line:]])
+
+
+ANY_FORM = {
+    "CRLF": lambda text: text.replace("\n", "\r\n"),
+    "byte order mark": lambda text: "\ufeff" + text,
+    "blank lines": lambda text: "\n\n" + text + "\n\n  \n",
+    "gzip": lambda text: gzip.compress(text.encode()),
+}
+STK_WAYS = ANY_FORM | {
+    "Fortran's exponents": d_exponents,
+    "a comment first": lambda text: f"# exported for somebody\n{text}",
+    "nanoseconds": lambda text: text.replace("22:00:00.000000", "22:00:00.000000000"),
+    "a day of the year": lambda text: text.replace("19 Feb 2022 22:00:00.000000", "2022-050T22:00:00.000"),
+    "a state twice": lambda text: repeated(text, 30),
+    "boundaries": lambda text: text.replace(
+        "EphemerisTimePosVel",
+        "BEGIN SegmentBoundaryTimes\n 0.0\n 1200.0\nEND SegmentBoundaryTimes\nEphemerisTimePosVel",
+    ),
+}
+SP3_WAYS = ANY_FORM | {
+    "correlations": lambda text: re.sub(r"^(P.*)$", r"\1\nEP  55  55  55     222", text, flags=re.MULTILINE),
+    "deviations and flags": lambda text: re.sub(r"^(P.*)$", r"\1  5  5  5 222 E  M", text, flags=re.MULTILINE),
+    "no clock": lambda text: text.replace(" 999999.999999", ""),
+    "another realisation": lambda text: text.replace("IGS14", "IGb20"),
+}
+
+
+@pytest.mark.parametrize("way", STK_WAYS)
+def test_stk_ephemerides_are_read_as_producers_write_them(orbit, way):
+    (source,) = parse_sources(STK_WAYS[way](stk(orbit, "ICRF", "Meters")))
+    assert_is(source, orbit, 2e-3)
+
+
+@pytest.mark.parametrize("way", SP3_WAYS)
+def test_sp3_files_are_read_as_producers_write_them(orbit, way):
+    (source,) = parse_sources(SP3_WAYS[way](sp3(orbit, "d")))
+    assert_is(source, orbit, 5e-4)
+
+
+OPM_WAYS = ANY_FORM | {
+    "lower case": lambda text: re.sub(r"^([A-Z_]+) =", lambda one: f"{one[1].lower()} =", text, flags=re.MULTILINE),
+    "elements, covariance and words of its own": lambda text: (
+        f"{text}\nSEMI_MAJOR_AXIS = 6900 [km]\nGM = 398600.4415 [km**3/s**2]\n"
+        "COV_REF_FRAME = RTN\nCX_X = 1e-3 [km**2]\nUSER_DEFINED_WORD = 7"
+    ),
+}
+
+
+@pytest.mark.parametrize("way", OPM_WAYS)
+def test_opms_are_read_as_producers_write_them(orbit, way):
+    (source,) = parse_sources(OPM_WAYS[way](opm(orbit, is_xml=False)))
+    at = np.array([T0])
+    np.testing.assert_allclose(source.orbit.position_itrf_km(at), orbit.position_itrf_km(at), atol=1e-6)
+
+
+def oem(orbit: Sgp4Orbit, frame: str = "GCRF", *, form: str = "{:.9f}", segments: int = 1, more: str = "") -> str:
+    """Return an OEM with a point a minute; ``more`` stands behind the points of each segment."""
+    t_utc, r_km, v_km_s = states(orbit, frame)
+    lines = ["CCSDS_OEM_VERS = 2.0", "CREATION_DATE = 2022-02-19T00:00:00", "ORIGINATOR = X", ""]
+    for part in np.array_split(np.arange(len(t_utc)), segments):
+        rows = np.arange(max(part[0] - 1, 0), part[-1] + 1)
+        meta = {"OBJECT_NAME": "X", "OBJECT_ID": "2020-068H", "CENTER_NAME": "Earth", "REF_FRAME": frame,
+                "TIME_SYSTEM": "UTC", "START_TIME": t_utc[rows[0]], "STOP_TIME": t_utc[rows[-1]],
+                "INTERPOLATION": "Hermite", "INTERPOLATION_DEGREE": 7}  # fmt: skip
+        lines += ["META_START", *(f"{key} = {value}" for key, value in meta.items()), "META_STOP", ""]
+        lines += [f"{t_utc[i]} " + " ".join(form.format(x) for x in (*r_km[i], *v_km_s[i])) for i in rows]
+        lines += [more]
+    return "\n".join(lines) + "\n"
+
+
+COVARIANCE = "\n".join(
+    ["COVARIANCE_START", "EPOCH = 2022-02-19T22:10:00", "COV_REF_FRAME = RTN",
+     *(" ".join(["1e-4"] * n) for n in range(1, 7)), "COVARIANCE_STOP"]
+)  # fmt: skip
+EMPTY = "\n".join(
+    ["META_START", "OBJECT_NAME = X", "REF_FRAME = GCRF", "TIME_SYSTEM = UTC", "START_TIME = 2022-02-20T00:00:00",
+     "STOP_TIME = 2022-02-21T00:00:00", "META_STOP"]
+)  # fmt: skip
+OEM_WAYS = ANY_FORM | {
+    "lower case": lambda text: re.sub(r"^([A-Z_]+)( =|$)", lambda one: one[0].lower(), text, flags=re.MULTILINE),
+    "no degree": lambda text: text.replace("INTERPOLATION_DEGREE = 7\n", ""),
+    "a state twice": lambda text: repeated(text, 30),
+    "comments among the states": lambda text: re.sub(r"(T22:.5:.*)", r"\1\nCOMMENT a word = 1\n", text),
+    "days of the year": lambda text: text.replace("2022-02-19T", "2022-050T"),
+    "tabs": lambda text: re.sub(r"(?<=\d) (?=[-\d])", "\t", text),
+    "an empty segment": lambda text: text + EMPTY,
+}
+
+
+@pytest.mark.parametrize("way", OEM_WAYS)
+def test_oems_are_read_as_producers_write_them(orbit, way):
+    (source,) = parse_sources(OEM_WAYS[way](oem(orbit)))
+    assert_is(source, orbit, 1e-3)
+
+
+@pytest.mark.parametrize("form", ["{:.12e}", "{:.12E}", "D"])
+def test_exponents_of_every_language_are_read(orbit, form):
+    text = oem(orbit, form="{:.12e}" if form == "D" else form, segments=3, more=COVARIANCE)
+    assert_is(parse_sources(d_exponents(text) if form == "D" else text)[0], orbit, 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("frame", "names"),
+    [
+        ("ITRF", ["ITRF-2014", "ITRF96", "ITRF1996", "IGS20", "IGb14", "ECEF", "WGS-84", "itrf2020"]),
+        ("GCRF", ["ICRF3", "GCRF1", "gcrf"]),
+        ("TEME", ["TEMEOFDATE", "TEME_OF_DATE"]),
+    ],
+)
+def test_realisations_of_a_frame_are_that_frame(orbit, frame, names):
+    for name in names:
+        assert_is(parse_sources(oem(orbit, frame).replace(f"= {frame}", f"= {name}"))[0], orbit, 1e-3)
+    with pytest.raises(OrbitFormatError, match="REF_FRAME: want one of GCRF"):
+        parse_sources(oem(orbit, frame).replace(f"= {frame}", "= RSW2014"))
+
+
+RECORD = {
+    "OBJECT_NAME": "BRO-4", "OBJECT_ID": "2021-073A", "EPOCH": "2021-09-23T05:32:45.214368",
+    "MEAN_MOTION": "15.08183038",
+    "ECCENTRICITY": ".0031328", "INCLINATION": "97.5553", "RA_OF_ASC_NODE": "339.3774", "ARG_OF_PERICENTER": "118.0573",
+    "MEAN_ANOMALY": "242.3843", "NORAD_CAT_ID": "49066", "BSTAR": ".40581E-4",
+}  # fmt: skip
+
+
+def table(separator: str = ",", names: Sequence[str] = tuple(RECORD)) -> str:
+    return f"{separator.join(names)}\n{separator.join(RECORD.values())}\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        table(";"),
+        table("\t"),
+        table(names=[name.lower() for name in RECORD]),
+        "# exported by somebody\n" + table(),
+        "\ufeff" + table().replace("\n", "\r\n"),
+        json.dumps({name.lower(): value for name, value in RECORD.items()}),
+        json.dumps({"data": [RECORD], "count": 1}),
+        json.dumps({"@context": "/x", "member": [RECORD | {"TLE_LINE1": "1", "TLE_LINE2": "2"}]}),
+        gzip.compress(table().encode()),
+    ],
+)
+def test_mean_elements_are_read_as_servers_send_them(text):
+    (source,) = parse_sources(text)
+    assert (source.kind, source.norad_id, source.name) == ("omm", "49066", "BRO-4")
+    assert str(source.epoch_utc) == "2021-09-23T05:32:45.214368000"
+
+
+def test_what_stands_beside_mean_elements_is_not_passed_over():
+    with pytest.raises(OrbitFormatError, match="message 2, MEAN_MOTION: is missing"):
+        parse_sources(json.dumps([RECORD, {"OBJECT_NAME": "Y"}]))
+    with pytest.raises(OrbitFormatError, match="object"):
+        parse_sources(json.dumps([RECORD, 5]))
+
+
+def test_lists_of_lines_and_tle_1_and_2_are_tles(tle):
+    lines = tle.splitlines()
+    for content in (lines, {"tle_1": lines[1], "tle_2": lines[2]}, {"results": [{"tle": lines}]}):
+        (source,) = parse_sources(json.dumps(content))
+        assert (source.kind, source.norad_id) == ("tle", "46493")
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b'<?xml version="1.0"?><!DOCTYPE html PUBLIC "x"><html><title>Login</title></html>', "HTML page, 'Login'"),
+        (b"<!-- built today --><HTML><title>Down</title>", "HTML page, 'Down'"),
+        (gzip.compress(b"<html><title>403</title></html>"), "HTML page, '403'"),
+        (gzip.compress(table().encode())[:-9], "gzip, but cut"),
+        (b"\x1f\x8bnonsense", "gzip, but damaged"),
+        (gzip.compress(bytes(MAX_BYTES + 1)), "unpacked"),
+    ],
+)
+def test_pages_and_broken_archives_are_named(content, words):
+    with pytest.raises(OrbitFormatError, match=words):
+        parse_sources(content)

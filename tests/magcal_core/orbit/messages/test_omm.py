@@ -103,6 +103,10 @@ def test_numbers_past_five_digits_are_what_omms_are_for() -> None:
         ({"MEAN_ELEMENT_THEORY": "SGP4-XP"}, "message 1, MEAN_ELEMENT_THEORY", "want SGP4"),
         ({"EPHEMERIS_TYPE": "4"}, "message 1, EPHEMERIS_TYPE", "want 0"),
         ({"CENTER_NAME": "MOON"}, "message 1, CENTER_NAME", "want EARTH"),
+        ({"NORAD_CAT_ID": "49066.7"}, "message 1, NORAD_CAT_ID", "want an integer"),
+        ({"NORAD_CAT_ID": "A9066"}, "message 1, NORAD_CAT_ID", "want an integer"),
+        ({"NORAD_CAT_ID": "1000000000"}, "message 1, NORAD_CAT_ID", "at most nine digits"),
+        ({"MEAN_MOTION": "15_08.1"}, "message 1, MEAN_MOTION", "is not a number"),
     ],
 )
 def test_each_wrong_value_is_named(change: dict[str, str], where: str, why: str) -> None:
