@@ -87,7 +87,7 @@ def _sessions(session: Session, satellite_id: str) -> list[tuple[datetime, datet
         .where(TelemetrySession.satellite_id == satellite_id, TelemetrySession.data_until < utc_now() - LATE)
         .order_by(TelemetrySession.data_from)
     )
-    return [(begin.astimezone(UTC), end.astimezone(UTC)) for begin, end in rows if begin is not None]
+    return [(begin.astimezone(UTC), end.astimezone(UTC)) for begin, end in rows if begin and end]
 
 
 def _is_near(orbits: Sequence[tuple[datetime, datetime]], at: datetime) -> bool:
