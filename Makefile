@@ -52,10 +52,10 @@ format: $(STAMP)  ## let ruff rewrite what it can
 	$(BIN)/ruff check --fix .
 
 test: system check $(KERNELS) ## the checks and every test
-	$(BIN)/python -m pytest $(if $(PYTEST_ARGS),$(PYTEST_ARGS),-n 2 --dist loadfile --no-loadscope-reorder)
+	$(BIN)/python -m pytest $(if $(PYTEST_ARGS),$(PYTEST_ARGS),-n 3 --dist loadfile --no-loadscope-reorder)
 
 test-quick: $(KERNELS) ## what a change needs while one works on it: no browser, no PostgreSQL, no killed process
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow and not postgres and not browser and not real_data" \
+	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder -m "not slow and not postgres and not browser and not real_data" \
 	  --ignore tests/faults --ignore tests/browser
 
 faults: $(KERNELS) ## kill, pause and fill real processes; MAGCAL_FAULT_TRIALS=N for more of it

@@ -80,7 +80,8 @@ def untold_terms(ablation: Sequence[Ablation], taken: Sequence[str]) -> tuple[Ab
 
     Such a term may be real: one session cannot tell it from a slow change of the bias, another one can.
     """
-    known, found = {source_of(name) for name in taken}, {}
+    known = {source_of(name) for name in taken}
+    found: dict[str, Ablation] = {}
     for row in ablation:
         if row.gains and row.regressors and source_of(row.regressors[-1]) not in known:
             found.setdefault(source_of(row.regressors[-1]), row)
