@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -84,9 +85,16 @@ def serving() -> Callable[[Settings], Iterator[Service]]:
 
 @pytest.fixture(scope="session", autouse=True)
 def plain_logs() -> None:
-    """Log an error of the server in a page, not with every local variable of every frame, which takes a minute."""
+    """Log an error of the server in a page, not with every local variable of every frame, which takes a minute.
+
+    What threads of a shared service log goes to the process's own stderr: whoever has put something else in the place
+    of ``sys.stdout``, as a test of a command has, must not find it there.
+    """
     plain = structlog.dev.ConsoleRenderer(colors=False, exception_formatter=structlog.dev.plain_traceback)
-    structlog.configure(processors=[structlog.contextvars.merge_contextvars, structlog.processors.add_log_level, plain])
+    structlog.configure(
+        processors=[structlog.contextvars.merge_contextvars, structlog.processors.add_log_level, plain],
+        logger_factory=structlog.PrintLoggerFactory(sys.__stderr__),
+    )
 
 
 @pytest.fixture(scope="session")

@@ -92,6 +92,7 @@ class World:
             "POST /field-files": {"content": FIELD_FILE.read_bytes(), "headers": TLE},
             "GET /sessions/{session_id}/residual": {"params": {"parameter_set": ids["parameter_set_id"]}},
             "GET /sessions/{session_id}/comparison": {"params": {"other": ids["session_id"]}},
+            "GET /parameter-sets/{parameter_set_id}/comparison": {"params": {"other": ids["parameter_set_id"]}},
             "GET /figures/compare": {"params": {"first": ids["parameter_set_id"], "second": ids["parameter_set_id"]}},
         }.get(name, {})
 

@@ -37,6 +37,8 @@ SCOPES = {
     "GET /sessions/{session_id}/residual": "read",
     "GET /sessions/{session_id}/monitoring": "read",
     "GET /sessions/{session_id}/comparison": "read",
+    "GET /sessions/{session_id}/preview": "read",
+    "GET /parameter-sets/{parameter_set_id}/comparison": "read",
     "GET /sessions/{session_id}/figures/{figure}": "read",
     "POST /jobs": "operate",
     "POST /reprocessings": "operate",
