@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import random
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from random import SystemRandom
 from typing import Final, Optional, Union
 
 import httpx2
@@ -211,7 +211,7 @@ def pause_s(tried: int, answer: httpx2.Response | None) -> float:
     is_number = after is not None and after.isascii() and after.isdigit()
     wanted_s = min(float(after or 0), LONGEST_PAUSE_S) if is_number else 0.0
     doubled_s = min(FIRST_PAUSE_S * 2.0 ** (tried - 1), LONGEST_PAUSE_S)
-    return max(wanted_s, random.uniform(0.5, 1.0) * doubled_s)  # noqa: S311  spreads clients, keeps no secret
+    return max(wanted_s, SystemRandom().uniform(0.5, 1.0) * doubled_s)
 
 
 def pieces(content: bytes, progress: Progress) -> Iterator[bytes]:

@@ -7,10 +7,10 @@ of a webhook, only the first that is pending is tried; those behind it wait unti
 from __future__ import annotations
 
 import json
-import random
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from random import SystemRandom
 from typing import Final
 
 from sqlalchemy import and_, delete, func, select, update
@@ -98,7 +98,7 @@ def due(session: Session, flying: Sequence[Due]) -> list[Due]:
 def pause_s(attempts: int, outcome: Outcome) -> float:
     """Return how long to wait after the attempt number ``attempts``: longer each time, and as the receiver asks."""
     growing = min(FIRST_PAUSE_S * 2.0 ** min(attempts - 1, 20), LONGEST_PAUSE_S)
-    jittered = growing * random.uniform(1.0 - JITTER, 1.0 + JITTER)  # noqa: S311  spreads the tries, guards nothing
+    jittered = growing * SystemRandom().uniform(1.0 - JITTER, 1.0 + JITTER)
     return max(jittered, outcome.retry_after_s or 0.0)
 
 

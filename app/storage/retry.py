@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import random
 import sqlite3
 import time
 from collections.abc import Awaitable, Callable, Iterator
+from random import SystemRandom
 from typing import Final, TypeVar
 
 import structlog
@@ -51,7 +51,7 @@ def _pauses_s() -> Iterator[float]:
     for number in range(MOST_RETRIES):
         if time.monotonic() - begun > LONGEST_S:
             return
-        yield FIRST_PAUSE_S * 2**number * random.uniform(0.5, 1.5)  # noqa: S311  spreads the tries, guards nothing
+        yield FIRST_PAUSE_S * 2**number * SystemRandom().uniform(0.5, 1.5)
 
 
 def retried(work: Callable[[], Result]) -> Result:

@@ -7,10 +7,10 @@ Where a source has the past, too, the elements about sessions that no orbit is n
 
 from __future__ import annotations
 
-import random
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from random import SystemRandom
 from typing import Final
 
 import structlog
@@ -106,7 +106,7 @@ class OrbitWatch:
         for satellite in self._satellites():
             if self._begin(satellite, self._name, self._settings.orbit_every_h):
                 found.append(self._ask(satellite))
-                self._pause(random.uniform(*BETWEEN_S))  # noqa: S311  spreads requests, guards nothing
+                self._pause(SystemRandom().uniform(*BETWEEN_S))
             else:
                 found.append(Asked(satellite.satellite_id, "not yet"))
             found += self._ask_past(satellite)
@@ -137,7 +137,7 @@ class OrbitWatch:
                 ConnectorRequest.source == ledger, ConnectorRequest.satellite_id == satellite.satellite_id
             )
         )
-        spread = 1.0 + random.uniform(0.0, JITTER)  # noqa: S311  spreads requests, guards nothing
+        spread = 1.0 + SystemRandom().uniform(0.0, JITTER)
         if last is not None and now < last + timedelta(hours=every_h * spread):
             return False
         every = ConnectorRequest.source.in_((self._name, self._past_ledger))
@@ -170,7 +170,7 @@ class OrbitWatch:
             self._past_ledger,
             lambda: source.ask_between(self._settings, satellite, span.first, span.last),
         )
-        self._pause(random.uniform(*BETWEEN_S))  # noqa: S311  spreads requests, guards nothing
+        self._pause(SystemRandom().uniform(*BETWEEN_S))
         if isinstance(asked, Asked):
             return [asked]
         self._database.transact(lambda session: self._keep_past(session, satellite, span, asked))
