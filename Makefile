@@ -5,6 +5,9 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 KERNELS := $(VENV)/.kernels
 
+# Where the environment forbids to keep bytecode, each of the hundreds of processes that tests start compiles magcal anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
 .PHONY: help system install demo test test-quick check format bench studies mutations docs faults lock audit clean
 

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -73,6 +74,12 @@ WORKS: Final[Mapping[str, Callable[[], None]]] = {
 """What is done beside a calibration by each method."""
 
 
+def compiled_mark() -> Path:
+    """Return the file that says that every kernel has been compiled; named so that it goes where an index goes."""
+    folder = os.environ.get("NUMBA_CACHE_DIR")
+    return (Path(folder) if folder else Path(__file__).parent / "__pycache__") / "compiled.nbi"
+
+
 def main() -> None:
     """Do each work and say how far it has come, on one line."""
     begun, works = time.monotonic(), [*ESTIMATORS, *WORKS]
@@ -80,6 +87,8 @@ def main() -> None:
         for done, _ in enumerate(pool.imap_unordered(_compile, works), 1):
             sys.stderr.write(f"\rcompiling kernels: {done} of {len(works)}")
             sys.stderr.flush()
+    compiled_mark().parent.mkdir(parents=True, exist_ok=True)
+    compiled_mark().touch()
     sys.stderr.write(f"\rcompiled the kernels in {time.monotonic() - begun:.0f} s       \n")
 
 

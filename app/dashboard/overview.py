@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from sqlalchemy import func, select
-from sqlalchemy.orm import Session
+from sqlalchemy.orm import Session, defer
 
 from app.access.caller import Caller
 from app.dashboard.schemas import HistoryQuery, HistoryRow, OverviewRow, SessionState, SetState
-from app.dashboard.set_summaries import summaries
+from app.dashboard.set_summaries import Residuals, residuals_of, summaries
 from app.http.schemas import utc_text
 from app.jobs.tables import Job
 from app.parameter_sets.json_listing import listed
@@ -34,7 +34,8 @@ def overview_rows(session: Session, caller: Caller, satellites: Sequence[Satelli
     active = _active_sets(session, ids)
     newest = _newest_sets(session, ids)
     last = _last_sessions(session, ids)
-    begun = _activations(session, [row.id for row in (*active.values(), *newest.values())])
+    shown = [row.id for row in (*active.values(), *newest.values())]
+    begun, residuals = _activations(session, shown), residuals_of(session, shown)
     waiting = _waiting_jobs(session, ids)
     rows = []
     for satellite in satellites:
@@ -46,8 +47,8 @@ def overview_rows(session: Session, caller: Caller, satellites: Sequence[Satelli
                     satellite=satellite.id,
                     name=satellite.name,
                     magnetometer=name,
-                    active=_set_state(active.get(place), begun),
-                    newest=_set_state(newest.get(place), begun),
+                    active=_set_state(active.get(place), begun, residuals),
+                    newest=_set_state(newest.get(place), begun, residuals),
                     last_session=_session_state(last.get(place)),
                     jobs_waiting=waiting.get(satellite.id, 0),
                 )
@@ -116,16 +117,16 @@ def timeline(
 
 
 def _active_sets(session: Session, ids: Sequence[str]) -> dict[Place, ParameterSet]:
-    found = session.scalars(
-        select(ParameterSet).where(ParameterSet.satellite_id.in_(ids), ParameterSet.status == "active")
-    )
+    active = select(ParameterSet).where(ParameterSet.satellite_id.in_(ids), ParameterSet.status == "active")
+    found = session.scalars(active.options(defer(ParameterSet.record)))
     return {(row.satellite_id, row.magnetometer_id): row for row in found}
 
 
 def _newest_sets(session: Session, ids: Sequence[str]) -> dict[Place, ParameterSet]:
     place = (ParameterSet.satellite_id, ParameterSet.magnetometer_id)
     newest = select(func.max(ParameterSet.id)).where(ParameterSet.satellite_id.in_(ids)).group_by(*place)
-    found = session.scalars(select(ParameterSet).where(ParameterSet.id.in_(newest)))
+    wanted = select(ParameterSet).where(ParameterSet.id.in_(newest))
+    found = session.scalars(wanted.options(defer(ParameterSet.record)))
     return {(row.satellite_id, row.magnetometer_id): row for row in found}
 
 
@@ -169,11 +170,13 @@ def _waiting_jobs(session: Session, ids: Sequence[str]) -> dict[str, int]:
     return {str(satellite_id): count for satellite_id, count in counted}
 
 
-def _set_state(row: ParameterSet | None, begun: Mapping[str, Activation]) -> SetState | None:
+def _set_state(
+    row: ParameterSet | None, begun: Mapping[str, Activation], residuals: Mapping[str, Residuals]
+) -> SetState | None:
     if row is None:
         return None
-    statistics = record_of(row)["statistics"]
     activation = begun.get(row.id)
+    rms_nt, cross_validated_rms_nt = residuals[row.id]
     return SetState.model_validate(
         {
             "id": row.id,
@@ -184,8 +187,8 @@ def _set_state(row: ParameterSet | None, begun: Mapping[str, Activation]) -> Set
             "data_until": row.data_until,
             "created_at": row.created_at,
             "activated_at": None if activation is None else activation.begun_at,
-            "rms_nt": statistics["after"]["rms_nt"],
-            "cross_validated_rms_nt": statistics["cross_validated_rms_nt"],
+            "rms_nt": rms_nt,
+            "cross_validated_rms_nt": cross_validated_rms_nt,
         }
     )
 

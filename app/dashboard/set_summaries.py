@@ -24,6 +24,9 @@ SHOWN: Final = (
     "statistics",
 )
 
+Residuals = tuple[float | None, float | None]
+"""RMS after the calibration, and cross-validated, nT."""
+
 
 def summaries(session: Session, set_ids: Sequence[str]) -> list[SetSummary]:
     """Return what a history shows of parameter sets, in the order of ``set_ids``.
@@ -59,6 +62,17 @@ def summaries(session: Session, set_ids: Sequence[str]) -> list[SetSummary]:
             "provenance": {"orbits": orbits or []},
         }
     return [found[set_id] for set_id in set_ids]
+
+
+def residuals_of(session: Session, set_ids: Sequence[str]) -> dict[str, Residuals]:
+    """Return the residuals of parameter sets by their ids; None for what a record does not hold."""
+    record = ParameterSet.record
+    statement = select(
+        ParameterSet.id,
+        record["statistics"]["after"]["rms_nt"].as_float(),
+        record["statistics"]["cross_validated_rms_nt"].as_float(),
+    ).where(ParameterSet.id.in_(set_ids))
+    return {set_id: (rms_nt, validated_nt) for set_id, rms_nt, validated_nt in session.execute(statement)}
 
 
 def _shown(connection: Connection) -> ColumnElement[str]:

@@ -23,7 +23,7 @@ def upload(page: Page, file: Path) -> None:
 
 
 def calibrate(page: Page) -> None:
-    page.get_by_role("button", name="Calibrate", exact=True).click()
+    page.locator("#calibrate").get_by_role("button", name="Calibrate", exact=True).click()
     page.wait_for_url(re.compile("/parameter-sets/[0-9a-f]{32}"), timeout=JOB_MS)
     expect(page.get_by_label("Verdict")).to_be_visible()
 

@@ -118,7 +118,7 @@ class ClusterWorkers:
     def start(self) -> None:
         """Start the children, then the thread that gives them work."""
         for executor in self._executors:
-            executor.calculator.start()
+            executor.calculator.prepare()
             self._free.put(executor)
         self._thread.start()
 

@@ -61,7 +61,7 @@ class EmbeddedWorkers:
     def start(self) -> None:
         """Start the children, then the threads that give them work."""
         for executor in self._executors:
-            executor.calculator.start()
+            executor.calculator.prepare()
         for thread in self._threads:
             thread.start()
 

@@ -20,6 +20,8 @@ from app.problems import Problem, problem, problem_of
 from magcal_core.errors import MagcalError
 
 PROGRESS_EVERY_S: Final = 0.1
+_WARM: Final[set[str]] = set()
+"""What `warm_up` has called."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +62,14 @@ def calculate(task: Task, report: Report, memory_mb: int) -> Outcome | Failure:
         return Failure(problem(500, "internal", "the calculation failed unexpectedly"), traceback.format_exc())
 
 
+def warm_up(functions: tuple[str, ...]) -> None:
+    """Call each of ``functions`` that this process, or the one that it was forked from, has not called yet."""
+    for function in functions:
+        if function not in _WARM:
+            calculate(Task(function, None), lambda _progress: None, 0)
+            _WARM.add(function)
+
+
 def run(connection: Connection, memory_mb: int, warm: tuple[str, ...]) -> None:
     """Serve tasks from ``connection`` until its other end is closed, which also ends a running calculation."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -67,8 +77,7 @@ def run(connection: Connection, memory_mb: int, warm: tuple[str, ...]) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (memory_mb << 20, memory_mb << 20))
     tasks: queue.SimpleQueue[Task] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(connection, tasks), daemon=True).start()
-    for function in warm:
-        calculate(Task(function, None), lambda _progress: None, memory_mb)
+    warm_up(warm)
     connection.send(0.0)
     while True:
         task = tasks.get()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import threading
 import time
 from collections.abc import Callable
 from multiprocessing.connection import Connection
@@ -16,7 +17,7 @@ from app.jobs.kinds.contract import Outcome
 TICK_S: Final = 0.1
 START_S: Final = 300.0
 """A child that is not warm after so long is given up."""
-PRELOAD: Final = ("numpy", "scipy.linalg", "pyarrow", "numba", "app.jobs.execution.child", "app.jobs.kinds.registry")
+PRELOAD: Final = ("numpy", "scipy.linalg", "pyarrow", "numba", "app.jobs.execution.warm_start")
 
 
 Watch = Callable[[float], bool]
@@ -49,18 +50,23 @@ class Calculator:
         self._child: ForkServerProcess | None = None
         self._connection: Connection | None = None
         self._is_warm = False
+        self._starting = threading.Lock()
 
-    def start(self) -> None:
-        """Start the child, if there is none, without waiting for it."""
-        if self._child is not None and self._child.is_alive():
-            return
-        context = multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload(list(PRELOAD))
-        ours, theirs = context.Pipe()
-        self._child = context.Process(target=run, args=(theirs, self._memory_mb, self._warm), daemon=True)
-        self._child.start()
-        theirs.close()
-        self._connection = ours
+    def prepare(self) -> None:
+        """Have the child started, if there is none, without waiting for it or for what it is forked from."""
+        threading.Thread(target=self._start, daemon=True).start()
+
+    def _start(self) -> None:
+        with self._starting:
+            if self._child is not None and self._child.is_alive():
+                return
+            context = multiprocessing.get_context("forkserver")
+            context.set_forkserver_preload(list(PRELOAD))
+            ours, theirs = context.Pipe()
+            self._child = context.Process(target=run, args=(theirs, self._memory_mb, self._warm), daemon=True)
+            self._child.start()
+            theirs.close()
+            self._connection = ours
 
     def run(self, task: Task, timeout_s: float, watch: Watch) -> Outcome | Failure:
         """Return what ``task`` finds.
@@ -73,7 +79,7 @@ class Calculator:
         TimedOutError, AbandonedError, ChildDiedError
             The child was killed for its time, for ``watch``, or died by itself.
         """
-        self.start()
+        self._start()
         if self._connection is None:
             raise ChildDiedError("the calculation's process could not be started")
         try:
@@ -118,10 +124,11 @@ class Calculator:
 
     def kill(self) -> None:
         """Kill the child; the next task gets a new one."""
-        if self._child is not None:
-            self._child.kill()
-            self._child.join(5.0)
-        if self._connection is not None:
-            self._connection.close()
-        self._child = self._connection = None
-        self._is_warm = False
+        with self._starting:
+            if self._child is not None:
+                self._child.kill()
+                self._child.join(5.0)
+            if self._connection is not None:
+                self._connection.close()
+            self._child = self._connection = None
+            self._is_warm = False

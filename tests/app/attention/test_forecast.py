@@ -44,7 +44,8 @@ def later(record: dict, days: float) -> dict:
 
 
 def test_the_end_of_a_life_is_told_by_itself_and_goes_with_a_newer_set(service, api, satellite):
-    """Six months of sets that walk, the last of 2024: out on the day that the trend says; a set of today mends it."""
+    """Six months of sets that walk, the last of 2024: out on the day that the trend says, until a set of yesterday that
+    is the same vouches for it anew."""
     place = {"satellite_id": satellite, "magnetometer_id": "mgm"}
     sets = history(21, 9, walk_nt=800.0, years=0.5).sets
     with service.database.write() as session:
@@ -62,13 +63,11 @@ def test_the_end_of_a_life_is_told_by_itself_and_goes_with_a_newer_set(service, 
 
     days = (datetime.now(UTC) - datetime.fromisoformat(sets[-1]["data_until"])) / timedelta(days=1)
     with service.database.write() as session:
-        newer = keep(session, place, later(sets[-1], days - 1.0) | {"status": "candidate"})
-    until(lambda: forecast(api, satellite)["action"]["label"] == "Activate")
-    button = forecast(api, satellite)["action"]
-    assert button["path"].endswith(f"/parameter-sets/{newer}/activate")
-    with service.database.write() as session:  # the records of this history are too short to be answered
-        ParameterSetRepository(session, SYSTEM).activate(newer, force=False)
+        keep(session, place, later(sets[-1], days - 1.0) | {"status": "candidate"})
     until(lambda: forecast(api, satellite) is None)
+    life = api.get(f"/satellites/{satellite}/magnetometers/mgm/trend").json()["life"]
+    assert life["parameter_set_id"] == kept[-1]
+    assert datetime.fromisoformat(life["until"]) > datetime.now(UTC)
 
 
 def test_nothing_is_said_where_the_trend_says_nothing(service, api, satellite):
@@ -96,6 +95,15 @@ def situation() -> Situation:
         "sat", None, None, "mgm", spring, None, 30.0, 7.0, 72.0,
         active=active, newest=active, session=session, life=life,
     )  # fmt: skip
+
+
+def test_a_newer_set_is_put_in_force(situation):
+    newer = replace(situation.active, id="b" * 32, status="candidate", data_until=NOW)
+    found = ForecastOut().find(replace(situation, newest=newer), NOW)
+    assert found.text.endswith("activate the newer set")
+    assert (found.action.label, found.action.path) == ("Activate", f"/api/v1/parameter-sets/{newer.id}/activate")
+    refused = replace(newer, grade="refuse")
+    assert ForecastOut().find(replace(situation, newest=refused), NOW).action.label == "See why"
 
 
 def test_a_session_since_then_is_calibrated_and_counts_as_a_witness(situation):
