@@ -1,7 +1,8 @@
-"""A process that has imported magcal already and forks servers: a thousand kills do not import it a thousand times."""
+"""Processes that have imported magcal already and fork servers: a thousand kills do not import it a thousand times."""
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
@@ -14,12 +15,45 @@ from pathlib import Path
 LAUNCH = Path(__file__).with_name("launch.py")
 
 
+LOADED = ("LD_PRELOAD", "FAKETIME_TIMESTAMP_FILE")
+"""What a process takes from its environment before it is forked."""
+
+
+class Stems:
+    """One stem for each library that processes are to be loaded with, and one without."""
+
+    def __init__(self) -> None:
+        self._stems: dict[tuple[str, ...], Stem] = {}
+        self._numbers = itertools.count()
+
+    def of(self, environment: Mapping[str, str]) -> Stem:
+        """Return the stem of processes with such an environment."""
+        key = tuple(environment.get(name, "") for name in LOADED)
+        if key not in self._stems:
+            self._stems[key] = Stem(environment)
+        return self._stems[key]
+
+    def run(self, *words: str, folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+        """Return how a magcal command ended and what it wrote, which passes through files of ``folder``."""
+        whole, number = os.environ | environment, next(self._numbers)
+        log, out = folder / f"stderr-{number}", folder / f"stdout-{number}"
+        status = self.of(whole).fork(words, whole, log, out).wait(120.0)
+        return subprocess.CompletedProcess(list(words), status, out.read_text(), log.read_text())
+
+    def close(self) -> None:
+        """Let them end."""
+        for one in self._stems.values():
+            one.close()
+
+
 class Stem:
     """The process that forks; it lives as long as its input is open."""
 
-    def __init__(self) -> None:
+    def __init__(self, environment: Mapping[str, str]) -> None:
         command = [sys.executable, str(LAUNCH), "--stem"]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=dict(environment)
+        )
 
     def fork(self, command: Sequence[str], environment: Mapping[str, str], log: Path, out: Path) -> Forked:
         """Return a new process that runs a magcal command."""
