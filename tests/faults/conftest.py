@@ -37,9 +37,11 @@ def new_site(tmp_path: Path, stems: Stems) -> Iterator[Callable[..., Site]]:
 
 
 @pytest.fixture(params=["sqlite", pytest.param("postgres", marks=pytest.mark.postgres)])
-def site(request: pytest.FixtureRequest, new_site: Callable[..., Site]) -> Site:
-    """An empty site on each of the databases."""
-    return new_site(None if request.param == "sqlite" else request.getfixturevalue("postgres_url"))
+def site(request: pytest.FixtureRequest) -> Site:
+    """An empty site on each of the databases, which is there until the site's processes have ended."""
+    url = None if request.param == "sqlite" else request.getfixturevalue("postgres_url")
+    new_site: Callable[..., Site] = request.getfixturevalue("new_site")
+    return new_site(url)
 
 
 @pytest.fixture(scope="session")
