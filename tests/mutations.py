@@ -69,7 +69,7 @@ FAULTS: Final[dict[str, Fault]] = {
     ),
     "drift-before-its-base": Fault(
         f"{SENSOR}/regressors.py", "float((t_utc - base_utc) / np", "float((base_utc - t_utc) / np",
-        (f"{CORE_TESTS}/sessions/test_monitoring.py",),
+        ("tests/magcal_core/sensor/test_regressors.py",),
     ),
     # --------------------------------------------------------------------------------------------- the estimators
     "undamped-search": Fault(
