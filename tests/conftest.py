@@ -9,8 +9,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from tests.faults.stem import Stems
+
+settings.register_profile("busy", deadline=None)  # what a first call compiles or a busy machine delays is no error
+settings.load_profile("busy")
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -155,7 +155,7 @@ class Play:
 STEPS = ("claim", "claim and die", "hand back", "succeeded", "failed", "cancelled", "cancel", "cancel all", "bury")
 
 
-@settings(max_examples=25, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=25, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(steps=st.lists(st.tuples(st.sampled_from(STEPS), st.integers(0, 2)), max_size=12))
 def test_whatever_is_done_no_other_transition_happens_and_every_end_is_told_once(database, steps):
     play = Play(database)

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -17,7 +17,6 @@ IDENTITY = (1.0, 0.0, 0.0, 0.0)
 REST = (0.0, 0.0, 0.0)
 
 
-@settings(deadline=None)  # the first call loads the compiled code
 @given(DIRECTIONS, DIRECTIONS)
 def test_minimal_turn_takes_the_model_direction_to_the_measured_one(alpha, b):
     theta, length = minimal_quaternion(tuple(alpha), tuple(b), DEGENERATE)
@@ -25,7 +24,6 @@ def test_minimal_turn_takes_the_model_direction_to_the_measured_one(alpha, b):
     assert length == pytest.approx(2.0 * np.cos(np.arccos(np.clip(alpha @ b, -1, 1)) / 2.0), abs=1e-7)
 
 
-@settings(deadline=None)
 @given(DIRECTIONS)
 def test_opposite_directions_give_a_half_turn_across_the_field(b):
     theta, length = minimal_quaternion(tuple(-b), tuple(b), DEGENERATE)

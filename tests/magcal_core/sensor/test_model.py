@@ -60,7 +60,7 @@ def test_correct_undoes_apply(parameters):
 
 
 @pytest.mark.parametrize("through", [name for name in CONVENTIONS if name != "exact"])
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(parameters=sensors)
 def test_round_trip_loses_nothing(through, parameters):
     """12 digits: the factorisations lose a few of the sixteen where axes stand at 50 deg and scales differ tenfold."""
