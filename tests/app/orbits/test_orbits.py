@@ -1,6 +1,7 @@
 """Orbits over HTTP."""
 
 import json
+import time
 from datetime import UTC, datetime, timedelta
 
 import pytest
