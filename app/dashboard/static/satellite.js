@@ -197,7 +197,7 @@ start(async () => {
     [satellite.id, satellite.norad_id && `NORAD ${satellite.norad_id}`, satellite.cospar_id].filter(Boolean).join(" · "))),
     attentionPlace, states.filter((row) => row.magnetometer).map(statusOf),
     !names.length ? h("div", { class: "empty" }, h("h2", {}, "Next step: add its magnetometer"), may("operate") ? addMagnetometer() : null) : null,
-    names.length && may("ingest") ? section("Upload telemetry", uploader(id, satellite.magnetometers)) : null,
+    names.length && may("ingest") ? section("Upload telemetry", uploader(id, satellite.magnetometers, () => { sessions(); attention(); })) : null,
     setsPlace, trendPlace, historyOf(magnetometer, states.some((row) => row.newest)), sessionsPlace, orbitsPlace, notes(`/satellites/${id}`),
     may("operate") ? h("details", {}, h("summary", {}, "Settings of the satellite"), settings(satellite)) : null,
     names.map((name) => h("details", {}, h("summary", {}, `Notes on magnetometer ${name}`), notes(`/satellites/${id}/magnetometers/${name}`))),
@@ -212,16 +212,19 @@ start(async () => {
   document.addEventListener("orbits", orbits);
   attention();
   await painted();
-  const [sets, sessions] = await Promise.all([
-    listed(`/satellites/${id}/history`, 1000), listed(`/sessions?satellite=${id}`, 1000), orbits()]);
-  const newestOf = new Map([...sets].reverse().flatMap((row) => row.session_ids.map((one) => [one, row])));
-  for (const session of sessions) {
-    const newest = newestOf.get(session.id);
-    session.grade = newest?.grade;
-    session.set_id = newest?.id;
+  const setsFound = listed(`/satellites/${id}/history`, 1000);
+  async function sessions() {
+    const [sets, rows] = await Promise.all([setsFound, listed(`/sessions?satellite=${id}`, 1000)]);
+    const newestOf = new Map([...sets].reverse().flatMap((row) => row.session_ids.map((one) => [one, row])));
+    for (const session of rows) {
+      const newest = newestOf.get(session.id);
+      session.grade = newest?.grade;
+      session.set_id = newest?.id;
+    }
+    sessionsPlace.replaceChildren(sessionsPlace.firstChild, strip(rows) ?? "", table(SESSION_COLUMNS, rows, { caption: "Sessions", file: `${id}-sessions`,
+      empty: names.length ? "No telemetry yet: drop a file above, or send it with magcal push." : "No telemetry yet." }));
   }
-  sessionsPlace.replaceChildren(sessionsPlace.firstChild, strip(sessions) ?? "", table(SESSION_COLUMNS, sessions, { caption: "Sessions", file: `${id}-sessions`,
-    empty: names.length ? "No telemetry yet: drop a file above, or send it with magcal push." : "No telemetry yet." }));
+  const [sets] = await Promise.all([setsFound, sessions(), orbits()]);
   setsPlace.replaceChildren(setsPlace.firstChild, table(SET_COLUMNS, sets, { caption: "Parameter sets", file: `${id}-parameter-sets`,
     empty: "No parameter set yet: open a session and start a calibration." }));
   await lives(sets, names, trendPlace);
