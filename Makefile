@@ -9,7 +9,7 @@ KERNELS := $(VENV)/.kernels
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help system install demo test test-quick check format bench studies mutations docs faults lock audit clean
+.PHONY: help system install demo test test-quick check format bench studies mutations pictures docs faults lock audit clean
 
 help:            ## this list
 	@grep -hE '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 12
@@ -72,6 +72,9 @@ studies: $(KERNELS) ## count errors of estimates and verdicts over thousands of 
 
 mutations: $(KERNELS) ## plant single faults in a copy and see whether the tests notice; FAULTS="a b" for some
 	$(BIN)/python tests/mutations.py $(FAULTS)
+
+pictures: system $(KERNELS) ## every page of the dashboard, light and dark, wide and narrow, in artefacts/pages-of-a-mission/
+	$(BIN)/python -m tests.browser.pictures artefacts/pages-of-a-mission
 
 docs: $(STAMP)    ## the documentation as web pages in site/
 	$(BIN)/mkdocs build --strict --quiet

@@ -65,6 +65,7 @@ from app.storage.identity import expect_own
 from app.storage.open_store import open_store
 from app.uploads import confirmation
 from app.uploads import endpoints as uploads
+from app.uploads import preview as upload_preview
 from app.uploads.batching import Keeper
 from app.uploads.endpoints import UploadServices
 from app.uploads.ingest import Ingest
@@ -74,6 +75,7 @@ ROOMS: Final = (
     sessions,
     uploads,
     confirmation,
+    upload_preview,
     monitoring,
     satellites,
     satellite_endpoints,

@@ -49,6 +49,16 @@ new MutationObserver((_changes, watch) => {
 }).observe(document, { subtree: true, childList: true, characterData: true });
 """
 """Run in every page before its own scripts."""
+ASKED: Final = """
+window.asked = { open: 0, since: performance.now() };
+const plain = window.fetch;
+window.fetch = (...given) => {
+  asked.open += 1;
+  return plain(...given).finally(() => { asked.open -= 1; asked.since = performance.now(); });
+};
+"""
+"""Counts what a page asks the service for; its stream of events never ends, so that the network is never idle."""
+QUIET: Final = "() => !window.asked || (asked.open === 0 && performance.now() - asked.since > 500)"
 FLAGS: Final = ["--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking"]
 
 
@@ -59,15 +69,16 @@ def figures() -> Iterator[Figure]:
         return
     with tempfile.TemporaryDirectory(prefix="magcal-bench-") as folder:
         root = Path(folder)
-        with _service(root) as (url, key):
+        with service_over(root) as (url, key):
             pages = _fill(url, key)
         _multiply(root / "data" / "magcal.db")
-        with _service(root) as (url, _):
+        with service_over(root) as (url, _):
             yield from _look(engine, url, key, pages)
 
 
 @contextmanager
-def _service(root: Path) -> Iterator[tuple[str, str]]:
+def service_over(root: Path) -> Iterator[tuple[str, str]]:
+    """Yield address and first key of a service over the folder ``root``; it may be opened anew over the same."""
     environment = os.environ | {"MAGCAL_DATA_DIR": str(root / "data")}
     command = [Path(sys.executable).with_name("magcal"), "serve", "--port", "0", "--workers", "1"]
     with (root / "out").open("a") as out, (root / "log").open("w") as log:
@@ -144,6 +155,7 @@ def _look(engine: str, url: str, key: str, pages: dict[str, str]) -> Iterator[Fi
         browser = playwright.chromium.launch(executable_path=engine, args=FLAGS)
         page = browser.new_page(viewport={"width": 1366, "height": 768})
         page.add_init_script(NUMBERS)
+        page.add_init_script(ASKED)
         page.goto(url)
         page.get_by_label("Key").fill(key)
         page.get_by_role("button", name="Sign in").click()
@@ -171,5 +183,5 @@ def _look(engine: str, url: str, key: str, pages: dict[str, str]) -> Iterator[Fi
 
 def _rest(page: Page) -> None:
     """Wait until the page asks for nothing and its thread is idle, so that it costs the next one nothing."""
-    page.wait_for_load_state("networkidle")
+    page.wait_for_function(QUIET, polling=100)
     page.evaluate("() => new Promise((resolve) => requestIdleCallback(resolve))")

@@ -83,9 +83,13 @@ class EncodingError(InputError):
 
 
 class UnitsError(InputError):
-    """The unit is unknown, or the readings belie it."""
+    """The unit is unknown, or the readings belie it; ``looks_like`` is the unit that they suit, where there is one."""
 
     code = "units_mismatch"
+
+    def __init__(self, message: str, faults: Sequence[Fault] = (), looks_like: str | None = None) -> None:
+        super().__init__(message, faults)
+        self.looks_like = looks_like
 
 
 class UnitsMissingError(UnitsError):

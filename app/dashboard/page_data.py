@@ -15,6 +15,7 @@ from app.dashboard.schemas import OverviewQuery
 from app.http.schemas import PageQuery
 from app.jobs import endpoints as jobs
 from app.jobs.schemas import JobQuery
+from app.outbox.log import newest_position
 from app.parameter_sets.json_listing import Texts, found
 from app.satellites import endpoints as satellites
 from app.sessions import endpoints as sessions
@@ -38,6 +39,12 @@ def brought(ask: Bringer | None, caller: Caller, database: Database, texts: Text
         return ask(caller, database, texts)
     except MagcalError:
         return {}
+
+
+def newest_event(database: Database) -> int:
+    """Return the position in the log of events behind which a page's stream begins."""
+    with database.read() as session:
+        return newest_position(session)
 
 
 def of_overview(fleet: Fleet) -> Bringer:
@@ -77,6 +84,20 @@ def of_satellite(satellite_id: str) -> Bringer:
     return ask
 
 
+def of_magnetometer(satellite_id: str, magnetometer_id: str) -> Bringer:
+    """Return what brings a magnetometer and the state of its satellite."""
+
+    def ask(caller: Caller, database: Database, _texts: Texts) -> Answers:
+        magnetometer = satellites.get_magnetometer(satellite_id, magnetometer_id, caller, database)
+        state = displays.get_overview(OverviewQuery(satellite=satellite_id), caller, database)
+        return {
+            f"/satellites/{satellite_id}/magnetometers/{magnetometer_id}": magnetometer.model_dump_json(),
+            f"/overview?satellite={satellite_id}": state.model_dump_json(),
+        }
+
+    return ask
+
+
 def of_session(session_id: str) -> Bringer:
     """Return what brings a session and the newest calibration of it, which says why it failed where it did."""
 
@@ -107,6 +128,21 @@ def of_jobs(caller: Caller, database: Database, _texts: Texts) -> Answers:
     """Return the newest jobs."""
     newest = jobs.list_jobs(JobQuery(limit=MOST_JOBS, total=True), caller, database)
     return {f"/jobs?limit={MOST_JOBS}&sort=-created&total=true": newest.model_dump_json()}
+
+
+def of_reprocessings(caller: Caller, database: Database, _texts: Texts) -> Answers:
+    """Return the newest reprocessings."""
+    newest = jobs.list_jobs(JobQuery(kind="reprocessing", limit=MOST_JOBS, total=True), caller, database)
+    return {f"/jobs?kind=reprocessing&limit={MOST_JOBS}&sort=-created&total=true": newest.model_dump_json()}
+
+
+def of_job(job_id: str) -> Bringer:
+    """Return what brings a job."""
+
+    def ask(caller: Caller, database: Database, _texts: Texts) -> Answers:
+        return {f"/jobs/{job_id}": jobs.get_job(job_id, caller, database).model_dump_json()}
+
+    return ask
 
 
 def of_keys(caller: Caller, database: Database, _texts: Texts) -> Answers:

@@ -16,6 +16,7 @@ from app.access.caller import Caller
 from app.access.key_repository import KEY_FORM, KeyRepository
 from app.attention.endpoints import AttentionServices
 from app.dashboard import assets, page_data
+from app.dashboard.choices import choices_json
 from app.errors import TooManyFailuresError, UnauthorizedError
 from app.http.dependencies import Config, Db
 from app.http.services import services_of
@@ -85,6 +86,8 @@ def _page(
     name = template.replace(".html", ".js")
     script = name if name in assets.names() else "plain.js"
     held = services_of(request.app, PageServices)
+    # Asked for before the answers are: what happens meanwhile is told by the stream, and not lost between the two.
+    newest_event = page_data.newest_event(held.database)
     answers = page_data.brought(ask, caller, held.database, held.texts)
     return _render(
         template,
@@ -95,8 +98,13 @@ def _page(
         modules=assets.modules(script),
         scopes=sorted(caller.scopes),
         answers={path: script_json(text) for path, text in answers.items()},
+        newest_event=newest_event,
         counts=page_data.counts_of(held.fleet, caller, held.database),
     )
+
+
+def _choices() -> Mapping[str, object]:
+    return {"choices": choices_json()}
 
 
 @router.get("/")
@@ -110,6 +118,20 @@ def overview_page(request: Request) -> HTMLResponse:
 def satellite_page(satellite_id: str, request: Request) -> HTMLResponse:
     """Show a satellite: its history, sessions, parameter sets and orbits."""
     return _page(request, "satellite.html", satellite_id, page_data.of_satellite(satellite_id))
+
+
+@router.get("/satellites/{satellite_id}/magnetometers")
+def magnetometers_page(satellite_id: str, request: Request) -> HTMLResponse:
+    """Show the magnetometers of a satellite beside each other."""
+    title = f"Magnetometers of {satellite_id}"
+    return _page(request, "magnetometers.html", title, page_data.of_satellite(satellite_id), values=_choices())
+
+
+@router.get("/satellites/{satellite_id}/magnetometers/{magnetometer_id}")
+def magnetometer_page(satellite_id: str, magnetometer_id: str, request: Request) -> HTMLResponse:
+    """Show a magnetometer: how its telemetry is read, and what becomes of it by itself."""
+    bring = page_data.of_magnetometer(satellite_id, magnetometer_id)
+    return _page(request, "magnetometer.html", f"{satellite_id} {magnetometer_id}", bring, values=_choices())
 
 
 @router.get("/sessions/{session_id}")
@@ -135,6 +157,18 @@ def compare_page(request: Request) -> HTMLResponse:
 def jobs_page(request: Request) -> HTMLResponse:
     """Show the jobs, live."""
     return _page(request, "jobs.html", "Jobs", page_data.of_jobs)
+
+
+@router.get("/reprocessings")
+def reprocessings_page(request: Request) -> HTMLResponse:
+    """Show the reprocessings, and start one."""
+    return _page(request, "reprocessings.html", "Reprocessing", page_data.of_reprocessings, values=_choices())
+
+
+@router.get("/reprocessings/{job_id}")
+def reprocessing_page(job_id: str, request: Request) -> HTMLResponse:
+    """Show one reprocessing: how far it is, and what its sets say beside those in force."""
+    return _page(request, "reprocessing.html", f"Reprocessing {job_id}", page_data.of_job(job_id), values=_choices())
 
 
 @router.get("/reasons")

@@ -58,7 +58,7 @@ class Parsed:
     def added_to(self, row: TelemetrySession | None) -> dict[str, object]:
         """Return what a session says of its telemetry once this is added to it; ``row`` is None before the first."""
         samples, quality = self.telemetry.samples, self.telemetry.quality
-        first, last = _instant(samples.t_utc[0]), _instant(samples.t_utc[-1])
+        first, last = instant(samples.t_utc[0]), instant(samples.t_utc[-1])
         alone: dict[str, object] = {
             "data_from": first,
             "data_until": last,
@@ -81,7 +81,8 @@ class Parsed:
         }
 
 
-def _instant(t_utc: np.datetime64) -> datetime:
+def instant(t_utc: np.datetime64) -> datetime:
+    """Return a time of the samples as a zone-aware datetime, to the microsecond."""
     microseconds = int(t_utc.astype("datetime64[us]").astype(np.int64))
     return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=microseconds)
 

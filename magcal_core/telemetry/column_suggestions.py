@@ -22,8 +22,8 @@ _OTHERS: Final = (
 )  # fmt: skip
 """Parts of names that three columns have which are no readings of a magnetometer."""
 _TIMES: Final = (
-    "time", "timeutc", "utctime", "utc", "timestamp", "datetime", "datetimeutc", "ts", "t", "epoch", "epochutc",
-    "unixtime", "isotime", "gpstime", "obt", "met", "sclk", "date",
+    "time", "timeutc", "utctime", "utc", "timestamp", "datetime", "datetimeutc", "ts", "epoch", "epochutc",
+    "unixtime", "isotime", "gpstime", "obt", "met", "sclk", "date", "t",
 )  # fmt: skip
 _DATES: Final = ("date", "day", "dateutc", "utcdate", "datum")
 

@@ -128,12 +128,7 @@ def plan_columns(
     _check_names(header, faults)
     present = {name for name in header if name}
     times = time_columns(form.times, mapped)
-    names = {own: TIME for own in times.own.values() if own in present}
-    names |= {
-        own: name
-        for name, own in own_names(mapped).items()
-        if name != TIME and own in present and own not in names and _is_free(name, own, mapped)
-    }
+    names = taken_columns(header, mapped, times)
     validity = form.validity
     if validity is not None and validity.column not in present:
         faults.add(TelemetryFormatError, f"column {validity.column}", "missing: it is to say which readings are valid")
@@ -144,6 +139,18 @@ def plan_columns(
     rest = [own for own in header if own and own not in names and own not in aside]
     housekeeping = {own: renamed.get(own, own) for own in rest if renamed.get(own, own) not in STANDARD}
     return ColumnPlan(names, housekeeping, times, validity)
+
+
+def taken_columns(header: Sequence[str], mapped: ColumnMap, times: TimeColumns) -> dict[str, str]:
+    """Return own name -> standard name of the columns that are taken for something; ``mapped`` is checked."""
+    present = {name for name in header if name}
+    names = {own: TIME for own in times.own.values() if own in present}
+    names |= {
+        own: name
+        for name, own in own_names(mapped).items()
+        if name != TIME and own in present and own not in names and _is_free(name, own, mapped)
+    }
+    return names
 
 
 def normal_header(header: Sequence[str]) -> list[str]:

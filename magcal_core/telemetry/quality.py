@@ -228,7 +228,8 @@ def check_units(
     best = min(fitting, key=lambda other: abs(np.log(reading_nt * fitting[other] / target)))
     raise UnitsError(
         f"median |B| of the readings is {reading_nt:.6g} nT if they are in {unit}, expected {expected}; "
-        f"they look like {best}: {fitting[best]:g} times as much"
+        f"they look like {best}: {fitting[best]:g} times as much",
+        looks_like=best,
     )
 
 

@@ -10,10 +10,10 @@ from typing import Final
 
 import numpy as np
 
-from magcal_core.errors import InputError
+from magcal_core.errors import InputError, TimeZoneMissingError
 from magcal_core.telemetry.day_of_year import day_of_year_ns
-from magcal_core.telemetry.iso_times import EARLIEST_NS, LATEST_NS, Spans
-from magcal_core.telemetry.time_forms import BOOT, COUNTS, DAY_OF_YEAR, WORDS
+from magcal_core.telemetry.iso_times import EARLIEST_NS, LATEST_NS, Spans, is_number, parse_iso_ns
+from magcal_core.telemetry.time_forms import BOOT, COUNTS, DAY_OF_YEAR, UTC, WORDS
 
 NEAR_DAYS: Final = 3.0
 """A form is named where it puts the times this near to the orbit, days."""
@@ -57,6 +57,34 @@ def _ns(instant: np.datetime64) -> int:
     return int(instant.astype("datetime64[ns]").astype(np.int64))
 
 
+def forms_of(cell: str, spans: Spans = ()) -> list[str]:
+    """Return the declared forms in which the text of one cell is a time, the likeliest first.
+
+    Empty where it needs no declaration, and where no known form makes sense of it. ``spans`` are where orbits are good.
+    """
+    plain = cell.strip()
+    if is_number(plain):
+        value = float(plain)
+        is_epoch = _is_near(value * 1e9, spans) if spans else _USUAL[0] <= value * 1e9 < _USUAL[1]
+        names = [] if is_epoch else names_of_number(value, spans)
+        return [BOOT] if not names and not is_epoch and 0.0 <= value < _LARGEST_BOOT_S else names
+    try:
+        parse_iso_ns(plain)
+    except TimeZoneMissingError:
+        return [UTC]
+    except InputError:
+        return _forms_of_text(plain, spans)
+    return []
+
+
+def _forms_of_text(text: str, spans: Spans) -> list[str]:
+    found: dict[str, int | None] = {}
+    with contextlib.suppress(InputError):
+        found[DAY_OF_YEAR] = day_of_year_ns(text, None)
+    found |= {pattern: _parsed(text, pattern) for pattern in PATTERNS}
+    return [name for name, t_ns in found.items() if t_ns is not None and (not spans or _is_near(t_ns, spans))]
+
+
 def on_number(value: float, spans: Spans) -> str:
     """Return what to declare of times such as ``value``, "" where nothing makes sense of them."""
     names = names_of_number(value, spans)
@@ -77,12 +105,9 @@ def on_text(text: str, spans: Spans) -> str:
     plain = text.strip()
     if any(_parsed(plain, clock) is not None for clock in _CLOCKS):
         return 'a time of day alone: name the column of the date too, with the column map {"date": .., "time": ..}'
-    with contextlib.suppress(InputError):
-        t_ns = day_of_year_ns(plain, None)
-        if not spans or _is_near(t_ns, spans):
-            return _asked([DAY_OF_YEAR])
-    found = {pattern: _parsed(plain, pattern) for pattern in PATTERNS}
-    near = [name for name, t_ns in found.items() if t_ns is not None and (not spans or _is_near(t_ns, spans))]
+    near = _forms_of_text(plain, spans)
+    if DAY_OF_YEAR in near:
+        return _asked([DAY_OF_YEAR])
     return f"declare the form: {' or '.join(_option(pattern) for pattern in near)}" if near else ""
 
 

@@ -28,6 +28,16 @@ FLAGS = [
     "--disable-sync",
 ]
 START_S = 60.0
+COUNT_REQUESTS = """
+  window.asked = { open: 0, quietSince: performance.now() };
+  const plain = window.fetch;
+  window.fetch = (...given) => {
+    asked.open += 1;
+    return plain(...given).finally(() => { asked.open -= 1; asked.quietSince = performance.now(); });
+  };
+"""
+"""What a page asks the service for is counted: its stream of events never ends, so that no page is ever without one."""
+QUIET = "() => asked.open === 0 && performance.now() - asked.quietSince > 500"
 expect.set_options(timeout=30_000)
 
 
@@ -126,7 +136,13 @@ def browser() -> Iterator[Browser]:
         browser.close()
 
 
+def wait_until_quiet(page: Page) -> None:
+    """Wait until a page that `watched` has opened has asked the service for nothing for half a second."""
+    page.wait_for_function(QUIET, polling=100)
+
+
 def watched(context: BrowserContext, service: Service) -> Watched:
+    context.add_init_script(COUNT_REQUESTS)
     found = Watched(context.new_page(), service)
 
     def look(request: Request) -> None:

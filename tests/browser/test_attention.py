@@ -10,7 +10,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from magcal_core.simulation.dekart_mission import SESSIONS, simulated
 from magcal_core.telemetry import write_samples
-from tests.browser.conftest import Service, Watched, serve, sign_in, watched
+from tests.browser.conftest import Service, Watched, serve, sign_in, wait_until_quiet, watched
 
 pytestmark = pytest.mark.browser
 JOB_MS = 240_000
@@ -132,7 +132,7 @@ def test_the_fleet_is_searched_in_the_address_and_a_phone_needs_no_scrolling_sid
     session = send(troubled, "plover", simulated(SESSIONS[0], 60).samples)
     for path in ("/", "/?display=wall", "/jobs", "/keys", "/reasons", "/satellites/plover", f"/sessions/{session}"):
         window.open(path)
-        page.wait_for_load_state("networkidle")
+        wait_until_quiet(page)
         width = page.evaluate("() => [document.documentElement.scrollWidth, document.documentElement.clientWidth]")
         assert width[0] <= width[1], path
     context.close()

@@ -10,7 +10,7 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, Route, expect
 
-from tests.browser.conftest import Service, Watched, sign_in, watched
+from tests.browser.conftest import Service, Watched, sign_in, wait_until_quiet, watched
 
 pytestmark = pytest.mark.browser
 PICTURES = Path(__file__).resolve().parents[2] / "artefacts" / "pages"
@@ -40,7 +40,7 @@ def addresses(service: Service, satellite: str) -> dict[str, str]:
 def settle(page: Page) -> None:
     """Scroll through the page until every figure is drawn."""
     page.locator("h1").first.wait_for()
-    page.wait_for_load_state("networkidle")
+    wait_until_quiet(page)
     next_one = """() => { const node = document.querySelector(".plot[aria-busy]");
         node?.scrollIntoView(); return node === null; }"""
     until = time.monotonic() + DRAWN_S
@@ -152,7 +152,7 @@ def test_a_table_sorts_filters_and_saves_what_it_shows(window: Watched, addresse
 def test_every_table_sorts_filters_and_exports(name: str, window: Watched, addresses: dict[str, str]) -> None:
     """Tables of facts, a name and a value a row, are no tables of data."""
     page = window.open(addresses[name])
-    page.wait_for_load_state("networkidle")
+    wait_until_quiet(page)
     expect(page.locator(".table").first).to_be_visible()
     bare = page.locator("table:not(.facts)").evaluate_all("(all) => all.filter((one) => !one.closest('.table')).length")
     assert bare == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from datetime import datetime
 from typing import Final
 
@@ -17,7 +18,7 @@ class JobFailed:
     """The newest calibration has failed; one that is tried again, or succeeds, takes its place."""
 
     def find(self, situation: Situation, now: datetime) -> Finding | None:
-        """Return that it failed and why; the button tries again, or goes to the orbits where they are the cause."""
+        """Return that it failed and why; the button mends the cause that the diagnosis names, or tries again."""
         job = situation.job
         if job is None or job.state != "failed":
             return None
@@ -34,4 +35,53 @@ class JobFailed:
 def _action(situation: Situation, job: JobFacts) -> Action | None:
     if (job.error or {}).get("code") in OF_THE_ORBIT:
         return Action("Choose orbit", "GET", satellite_page(situation, "#orbits"))
-    return Action("Try again", "POST", f"/api/v1/jobs/{job.id}/retry")
+    cure = CURES.get(_cause(job))
+    found = None if cure is None else cure(situation, job)
+    return found or Action("Try again", "POST", f"/api/v1/jobs/{job.id}/retry")
+
+
+def _cause(job: JobFacts) -> str:
+    """Return the code of the first cause that the diagnosis of a failed job has found, "" where it has none."""
+    diagnosis = (job.error or {}).get("diagnosis")
+    findings = diagnosis.get("findings") if isinstance(diagnosis, Mapping) else None
+    first = findings[0] if isinstance(findings, list) and findings else None
+    return str(first.get("code", "")) if isinstance(first, Mapping) else ""
+
+
+def _again(label: str, **changed: object) -> Callable[[Situation, JobFacts], Action | None]:
+    """Return what offers the same calibration with ``changed``, unless it was asked for so already."""
+
+    def offer(_situation: Situation, job: JobFacts) -> Action | None:
+        if not job.session_ids or all(job.request.get(name) == value for name, value in changed.items()):
+            return None
+        given = {name: value for name, value in job.request.items() if value is not None}
+        body = {**given, **changed, "kind": "calibration", "session_ids": list(job.session_ids)}
+        return Action(label, "POST", "/api/v1/jobs", body)
+
+    return offer
+
+
+def _orbits(situation: Situation, _job: JobFacts) -> Action:
+    return Action("Choose orbit", "GET", satellite_page(situation, "#orbits"))
+
+
+def _reading(situation: Situation, _job: JobFacts) -> Action:
+    page = satellite_page(situation, f"/magnetometers/{situation.magnetometer_id}#how-its-telemetry-is-read")
+    return Action("See how it is read", "GET", page)
+
+
+def _readings(_situation: Situation, job: JobFacts) -> Action | None:
+    return Action("See the readings", "GET", f"/sessions/{job.session_ids[0]}#readings") if job.session_ids else None
+
+
+CURES: Final[Mapping[str, Callable[[Situation, JobFacts], Action | None]]] = {
+    "clock": _again("Look for the clock", time_offset="estimate"),
+    "bad_rows": _again("Again with tukey", robust="tukey"),
+    "along_track": _orbits,
+    "orbit_plane": _orbits,
+    "wrong_satellite": _orbits,
+    "unit": _reading,
+    "axis_constant": _readings,
+    "sensor_constant": _readings,
+}
+"""Cause that a diagnosis names -> what mends it, or shows it; without one, another try."""

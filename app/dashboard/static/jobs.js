@@ -2,6 +2,7 @@
 import { ago, causes, grade, h, may, notice, short, show, start, state, time } from "./magcal.js";
 import { cancel, ENDED, retry } from "./job.js";
 import { listing } from "./listing.js";
+import { live } from "./live.js";
 
 const WORDS = { queued: "queued", running: "running", succeeded: "succeeded", failed: "failed", cancelled: "cancelled" };
 const ACTIVE_MS = 2000;
@@ -55,4 +56,5 @@ start(async () => {
   }
   show(h("h1", {}, "Jobs"), list);
   await draw();
+  live(draw, { types: ["job.ended", "session.received"] });
 });

@@ -1,4 +1,5 @@
 // What every page uses: the public API, elements, numbers, notices.
+import { live } from "./live.js";
 import { table } from "./table.js";
 
 const scopes = new Set((document.body.dataset.scopes ?? "").split(" "));
@@ -222,9 +223,7 @@ export function counters(counts) {
 }
 
 if (document.querySelector(".counter") && location.pathname !== "/") {
-  setInterval(() => {
-    if (!document.hidden) api("/attention?limit=1").then((answer) => counters(answer.counts), () => {});
-  }, 30000);
+  live(() => api("/attention?limit=1").then((answer) => counters(answer.counts)), { types: ["attention.raised", "attention.cleared", "parameter_set.activated"], lostMs: 30000 });
 }
 
 const toggle = document.getElementById("theme");
@@ -240,6 +239,7 @@ if (toggle) {
   });
 }
 for (const link of document.querySelectorAll("header nav a")) {
-  const here = link.getAttribute("href") === (/^\/(satellites|sessions|parameter-sets|compare)/.test(location.pathname) ? "/" : location.pathname);
+  const part = /^\/(satellites|sessions|parameter-sets|compare)/.test(location.pathname) ? "/" : location.pathname.replace(/^(\/reprocessings)\/.*/, "$1");
+  const here = link.getAttribute("href") === part;
   if (here) link.setAttribute("aria-current", link.getAttribute("href") === location.pathname ? "page" : "true");
 }

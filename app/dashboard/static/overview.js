@@ -2,6 +2,8 @@
 import { lines } from "./attention.js";
 import { age, api, counters, field, fixed, form, grade, h, may, nt, show, start, time } from "./magcal.js";
 import { listing } from "./listing.js";
+import { live } from "./live.js";
+import { magnetometerPage } from "./status.js";
 
 const WALL = new URLSearchParams(location.search).get("display") === "wall";
 const REFRESH_MS = WALL ? 5000 : 10000;
@@ -15,7 +17,7 @@ const times = (ratio) => (ratio === null || ratio === undefined ? "" : ` (${fixe
 const COLUMNS = [
   { name: "satellite", sort: "name", value: (r) => r.satellite, show: (r) => [h("a", { class: "named", href: `/satellites/${r.satellite}` }, r.name ?? r.satellite),
     r.name && r.name !== r.satellite ? h("small", {}, r.satellite) : null] },
-  { name: "magnetometer", value: (r) => r.magnetometer },
+  { name: "magnetometer", value: (r) => r.magnetometer, show: (r) => (r.magnetometer ? h("a", { href: magnetometerPage(r.satellite, r.magnetometer) }, r.magnetometer) : "–") },
   { name: "state", sort: "worst", value: (r) => r.state, show: (r) => h("span", { class: `badge ${STATES[r.state]}` },
     { act: `✕ ${r.attention} to do`, watch: `◆ ${r.attention} to watch`, good: "● good" }[r.state]) },
   { name: "set in force", sort: "verdict", value: (r) => r.verdict, show: (r) => r.parameter_set_id
@@ -93,7 +95,5 @@ start(async () => {
     h("h2", { id: "fleet" }, "Fleet"), fleet,
     may("operate") && !WALL ? h("details", {}, h("summary", {}, "Add a satellite"), addSatellite()) : null);
   stamp();
-  setInterval(() => {
-    if (!document.hidden && !document.querySelector("dialog[open]")) again().then(stamp, () => { updated.textContent = "The service does not answer."; });
-  }, REFRESH_MS);
+  live(() => again().then(stamp, () => { updated.textContent = "The service does not answer."; }), { lostMs: REFRESH_MS });
 });

@@ -1,24 +1,15 @@
 // One satellite: state, history, sessions, parameter sets, orbits, upload.
 import { age, agreement, AGREEMENTS, AGREEMENT_SIGNS, api, field, fixed, form, grade, h, listed, may, notice, nt, option, painted, section, short, show, start, tiles, time, title } from "./magcal.js";
 import { lines } from "./attention.js";
+import { live } from "./live.js";
 import { notes } from "./notes.js";
 import { plot, replot } from "./plot.js";
+import { statusOf } from "./status.js";
 import { table } from "./table.js";
 import { uploader } from "./upload.js";
 
 const id = decodeURIComponent(location.pathname.split("/")[2]);
 const UNITS = ["nT", "uT", "mT", "T", "G", "mG"];
-
-function statusOf(row) {
-  return tiles(
-    ["active set", row.active ? h("a", { href: `/parameter-sets/${row.active.id}` }, grade(row.active.grade)) : "none", row.magnetometer],
-    ["its data's age", age(row.active?.data_until), row.active ? time(row.active.data_until) : null],
-    ["its residual", nt(row.active?.rms_nt), row.active?.cross_validated_rms_nt ? `cross-validated ${nt(row.active.cross_validated_rms_nt)}` : null],
-    ["last session", row.last_session ? h("a", { href: `/sessions/${row.last_session.id}` }, age(row.last_session.data_until)) : "none",
-      row.last_session ? `${row.last_session.samples} samples` : null],
-    ["good for", h("span", { "data-life": row.magnetometer }, "–")],
-    ["jobs waiting or running", String(row.jobs_waiting)]);
-}
 
 const SESSION_COLUMNS = [
   { name: "session", value: (r) => r.id, show: (r) => h("a", { href: `/sessions/${r.id}` }, short(r.id)) },
@@ -181,6 +172,20 @@ function historyOf(magnetometer, hasSets) {
   return place;
 }
 
+// Draws a table under the heading of its place, and later other rows in the same table, sorted and filtered as it is.
+function renewed(place) {
+  let drawn = null;
+  return (rows, draw) => {
+    if (drawn?.renew && rows.length) {
+      drawn.renew(rows);
+      return;
+    }
+    const nodes = draw(rows);
+    drawn = nodes.at(-1);
+    place.replaceChildren(place.firstChild, ...nodes);
+  };
+}
+
 start(async () => {
   title(id);
   const [satellite, { items: states }] = await Promise.all([api(`/satellites/${id}`), api(`/overview?satellite=${id}`)]);
@@ -194,10 +199,11 @@ start(async () => {
   const attention = () => api(`/attention?satellite=${encodeURIComponent(id)}&total=true`).then(
     (answer) => attentionPlace.replaceChildren(...lines(answer, attention).filter(Boolean)));
   show(h("div", { class: "heading" }, h("h1", {}, satellite.name ?? satellite.id), h("p", { class: "muted" },
-    [satellite.id, satellite.norad_id && `NORAD ${satellite.norad_id}`, satellite.cospar_id].filter(Boolean).join(" · "))),
+    [satellite.id, satellite.norad_id && `NORAD ${satellite.norad_id}`, satellite.cospar_id].filter(Boolean).join(" · ")),
+    names.length > 1 ? h("p", {}, h("a", { href: `/satellites/${id}/magnetometers` }, "Magnetometers beside each other")) : null),
     attentionPlace, states.filter((row) => row.magnetometer).map(statusOf),
     !names.length ? h("div", { class: "empty" }, h("h2", {}, "Next step: add its magnetometer"), may("operate") ? addMagnetometer() : null) : null,
-    names.length && may("ingest") ? section("Upload telemetry", uploader(id, satellite.magnetometers)) : null,
+    names.length && may("ingest") ? section("Upload telemetry", uploader(id, satellite.magnetometers, () => { tables(); attention(); })) : null,
     setsPlace, trendPlace, historyOf(magnetometer, states.some((row) => row.newest)), sessionsPlace, orbitsPlace, notes(`/satellites/${id}`),
     may("operate") ? h("details", {}, h("summary", {}, "Settings of the satellite"), settings(satellite)) : null,
     names.map((name) => h("details", {}, h("summary", {}, `Notes on magnetometer ${name}`), notes(`/satellites/${id}/magnetometers/${name}`))),
@@ -212,17 +218,23 @@ start(async () => {
   document.addEventListener("orbits", orbits);
   attention();
   await painted();
-  const [sets, sessions] = await Promise.all([
-    listed(`/satellites/${id}/history`, 1000), listed(`/sessions?satellite=${id}`, 1000), orbits()]);
-  const newestOf = new Map([...sets].reverse().flatMap((row) => row.session_ids.map((one) => [one, row])));
-  for (const session of sessions) {
-    const newest = newestOf.get(session.id);
-    session.grade = newest?.grade;
-    session.set_id = newest?.id;
+  const [setsTable, sessionsTable, stripPlace] = [renewed(setsPlace), renewed(sessionsPlace), h("div")];
+  async function tables() {
+    const [sets, sessions] = await Promise.all([listed(`/satellites/${id}/history`, 1000), listed(`/sessions?satellite=${id}`, 1000)]);
+    const newestOf = new Map([...sets].reverse().flatMap((row) => row.session_ids.map((one) => [one, row])));
+    for (const session of sessions) {
+      const newest = newestOf.get(session.id);
+      session.grade = newest?.grade;
+      session.set_id = newest?.id;
+    }
+    stripPlace.replaceChildren(strip(sessions) ?? "");
+    sessionsTable(sessions, (rows) => [stripPlace, table(SESSION_COLUMNS, rows, { caption: "Sessions", file: `${id}-sessions`,
+      empty: names.length ? "No telemetry yet: drop a file above, or send it with magcal push." : "No telemetry yet." })]);
+    setsTable(sets, (rows) => [table(SET_COLUMNS, rows, { caption: "Parameter sets", file: `${id}-parameter-sets`,
+      empty: "No parameter set yet: open a session and start a calibration." })]);
+    return sets;
   }
-  sessionsPlace.replaceChildren(sessionsPlace.firstChild, strip(sessions) ?? "", table(SESSION_COLUMNS, sessions, { caption: "Sessions", file: `${id}-sessions`,
-    empty: names.length ? "No telemetry yet: drop a file above, or send it with magcal push." : "No telemetry yet." }));
-  setsPlace.replaceChildren(setsPlace.firstChild, table(SET_COLUMNS, sets, { caption: "Parameter sets", file: `${id}-parameter-sets`,
-    empty: "No parameter set yet: open a session and start a calibration." }));
+  const [sets] = await Promise.all([tables(), orbits()]);
+  live(() => Promise.all([tables(), attention()]), { satellite: id });
   await lives(sets, names, trendPlace);
 });

@@ -2,6 +2,7 @@
 import { ago, agreement, api, causes, facts, field, fixed, form, grade, h, listed, may, option, section, short, show, start, tiles, time, title } from "./magcal.js";
 import { lines } from "./attention.js";
 import { follow } from "./job.js";
+import { live } from "./live.js";
 import { notes } from "./notes.js";
 import { plot } from "./plot.js";
 import { previewOf } from "./preview.js";
@@ -92,14 +93,18 @@ start(async () => {
     const count = summary.housekeeping.length;
     if (count) keeping.append(section("Housekeeping", plot(`/sessions/${id}/figures/housekeeping`, "Housekeeping columns", "Each may be a regressor of the bias.", 80 + 130 * count)));
   });
-  const sets = await listed(`/satellites/${session.satellite}/history?session=${id}`, 200);
-  setsPlace.replaceChildren(setsPlace.firstChild, table([
-    { name: "parameter set", value: (r) => r.id, show: (r) => h("a", { href: `/parameter-sets/${r.id}` }, short(r.id)) },
-    { name: "verdict", value: (r) => r.grade, show: (r) => grade(r.grade) },
-    { name: "status", value: (r) => r.status },
-    { name: "method", value: (r) => r.method },
-    { name: "RMS before, nT", numeric: true, value: (r) => r.rms_before_nt, show: (r) => fixed(r.rms_before_nt) },
-    { name: "after", numeric: true, value: (r) => r.rms_nt, show: (r) => fixed(r.rms_nt) },
-    { name: "created", value: (r) => r.created_at, show: (r) => time(r.created_at) },
-  ], sets, { caption: "Parameter sets from this session", file: `session-${short(id)}-parameter-sets`, empty: "None yet." }));
+  async function sets() {
+    const rows = await listed(`/satellites/${session.satellite}/history?session=${id}`, 200);
+    setsPlace.replaceChildren(setsPlace.firstChild, table([
+      { name: "parameter set", value: (r) => r.id, show: (r) => h("a", { href: `/parameter-sets/${r.id}` }, short(r.id)) },
+      { name: "verdict", value: (r) => r.grade, show: (r) => grade(r.grade) },
+      { name: "status", value: (r) => r.status },
+      { name: "method", value: (r) => r.method },
+      { name: "RMS before, nT", numeric: true, value: (r) => r.rms_before_nt, show: (r) => fixed(r.rms_before_nt) },
+      { name: "after", numeric: true, value: (r) => r.rms_nt, show: (r) => fixed(r.rms_nt) },
+      { name: "created", value: (r) => r.created_at, show: (r) => time(r.created_at) },
+    ], rows, { caption: "Parameter sets from this session", file: `session-${short(id)}-parameter-sets`, empty: "None yet." }));
+  }
+  await sets();
+  live(() => Promise.all([sets(), attention()]), { satellite: session.satellite });
 });

@@ -18,7 +18,7 @@ from app.http.middleware.security_headers import POLICY
 from app.metrics import REQUEST_SECONDS
 from app.problems import problem
 
-UPLOADS: Final = re.compile(r"/api/v1/(?:satellites/[^/]+/(?:sessions|orbits)|sessions/[^/]+/samples)")
+UPLOADS: Final = re.compile(r"/api/v1/(?:satellites/[^/]+/(?:sessions(?:/preview)?|orbits)|sessions/[^/]+/samples)")
 ROUTE: Final = "refused at the door"
 """What the metrics call these requests; the log leaves them out, for a crowd would fill it."""
 Headers = list[tuple[bytes, bytes]]

@@ -169,6 +169,23 @@ def test_a_failed_job_is_told_until_one_succeeds(api, orbited, flown):
     assert "job_failed" not in entries(api, orbited)
 
 
+def test_the_button_of_a_failed_job_mends_the_cause_that_its_diagnosis_names(api, orbited, flown):
+    """Local time taken for UTC: an hour that no search looked for; the button looks, and the next job finds it."""
+    shifted = replace(flown, t_utc=flown.t_utc + np.timedelta64(3600, "s"), q_base_gcrf=None)
+    session_id = sent(api, orbited, shifted)
+    body = {"kind": "calibration", "session_ids": [session_id], "time_offset": "none", "robust": "none"}
+    failed = ended(api, api.post("/jobs", json=body).json()["id"])
+    assert failed["error"]["diagnosis"]["findings"][0]["code"] == "clock"
+    told = entries(api, orbited)["job_failed"]
+    assert told["action"]["label"] == "Look for the clock"
+    made = press(api, told).json()
+    assert made["options"]["time_offset"] == "estimate" and made["session_ids"] == [session_id]
+    after = ended(api, made["id"])
+    # A second failure must not offer what has just been tried.
+    if after["state"] == "failed":
+        assert entries(api, orbited)["job_failed"]["action"]["label"] != "Look for the clock"
+
+
 def test_limits_of_age_are_settings_of_the_satellite(api, orbited, flown):
     """Data of 2022 are old by the limit of 30 days, and not by one of 30 years; the orbit likewise."""
     sent(api, orbited, flown)

@@ -13,7 +13,10 @@ import pytest
 
 from app.dashboard.assets import plotly_version
 
-PAGES = ["/", "/satellites/any", "/sessions/any", "/parameter-sets/any", "/jobs", "/keys", "/compare", "/reasons"]
+PAGES = [
+    "/", "/satellites/any", "/satellites/any/magnetometers", "/satellites/any/magnetometers/mgm", "/sessions/any",
+    "/parameter-sets/any", "/jobs", "/reprocessings", "/reprocessings/any", "/keys", "/compare", "/reasons",
+]  # fmt: skip
 SAME_ORIGIN = {"Sec-Fetch-Site": "same-origin"}
 ASSET = f"/assets/plotly-{plotly_version()}.min.js"
 PATIENCE_S = 120.0
@@ -177,6 +180,8 @@ def shown(mission) -> dict[str, set[str]]:
         f"/compare?first={sets[0]}&second={sets[1]}": {f"/parameter-sets/{one}" for one in sets},
         "/jobs": {"/jobs?limit=50&sort=-created&total=true"},
         "/keys": {"/keys?limit=1000"},
+        "/reprocessings": {"/jobs?kind=reprocessing&limit=50&sort=-created&total=true"},
+        f"/satellites/{satellite}/magnetometers": {f"/satellites/{satellite}", f"/overview?satellite={satellite}"},
     }
 
 
@@ -220,7 +225,8 @@ def test_a_page_brings_along_only_what_the_key_may_see(visitor, service, api, sh
     assert {row["satellite"] for row in bound[0]["/fleet?limit=50&sort=worst"]["items"]} <= {other}
     assert bound[1:5] == [{}] * 4
     assert bound[5]["/jobs?limit=50&sort=-created&total=true"]["items"] == []
-    assert bound[6] == {}
+    assert bound[6] == {} and bound[8] == {}
+    assert bound[7]["/jobs?kind=reprocessing&limit=50&sort=-created&total=true"]["items"] == []
 
 
 def test_what_a_page_brings_along_cannot_become_markup(visitor, service, api, names):

@@ -1,0 +1,72 @@
+"""Pictures of every page from a mission of its own, for whoever looks: `make pictures`.
+
+Light and dark, as wide as a laptop and as a phone: PAGE-THEME-WIDTH.png in the folder that is named.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from tests.browser.conftest import BROWSERS, FLAGS, Service, serve, sign_in
+from tests.browser.mission import fly
+
+SIZES = ((1366, 768), (390, 844))
+THEMES = ("light", "dark")
+WAIT_MS = 60_000
+
+
+def settle(page: Page) -> None:
+    """Wait until a page has its numbers and each figure is drawn."""
+    page.locator("h1").first.wait_for()
+    next_one = """() => { const node = document.querySelector(".plot[aria-busy]");
+        node?.scrollIntoView(); return node === null; }"""
+    page.wait_for_timeout(700)
+    page.wait_for_function(next_one, timeout=WAIT_MS, polling=200)
+    page.evaluate("() => scrollTo(0, 0)")
+
+
+def take(browser: Browser, service: Service, addresses: dict[str, str], folder: Path) -> None:
+    """Take every page in every look, and the sign-in page."""
+    for theme in THEMES:
+        for width, height in SIZES:
+            context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=theme)
+            page = context.new_page()
+            page.goto(service.url + "/")
+            page.screenshot(path=folder / f"sign-in-{theme}-{width}.png")
+            sign_in(page, service)
+            for name, address in addresses.items():
+                page.goto(service.url + address)
+                settle(page)
+                page.screenshot(path=folder / f"{name}-{theme}-{width}.png", full_page=True)
+            context.close()
+
+
+def main(folder: Path) -> int:
+    """Write the pictures into ``folder``; return the exit status."""
+    engine = next((found for name in BROWSERS if (found := shutil.which(name))), None)
+    if engine is None:
+        sys.stderr.write("no Chromium is installed; `make system` installs one\n")
+        return 1
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix="magcal-pictures-") as place, sync_playwright() as playwright:
+        running = serve(Path(place) / "service")
+        try:
+            service = next(running)
+            with service.client() as client:
+                mission = fly(client)
+            browser = playwright.chromium.launch(executable_path=engine, args=FLAGS)
+            take(browser, service, mission.addresses, folder)
+            browser.close()
+        finally:
+            running.close()
+    sys.stdout.write(f"{len(list(folder.glob('*.png')))} pictures are in {folder}\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1] if len(sys.argv) > 1 else "artefacts/pages-of-a-mission")))
