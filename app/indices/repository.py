@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 import zstandard
-from sqlalchemy import ColumnElement, exists, select
+from sqlalchemy import ColumnElement, Select, and_, bindparam, exists, or_, select, union_all
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session, undefer
 
@@ -36,6 +36,23 @@ AROUND: Final = timedelta(hours=4)
 HOUR: Final = timedelta(hours=1)
 FIELD_FILE: Final = "field_file"
 """In a job's request, beside the options: the id of the file of coefficients."""
+
+
+def _near() -> Select[IndexFile]:
+    """Return the statement for the files that reach some data, and the last one of each kind, the oldest file first."""
+    row = IndexFile
+    since, till = (bindparam(name, type_=row.first.type) for name in ("since", "till"))
+    lasts = [
+        select(row.id).where(row.name == name).order_by(row.last.desc(), row.id).limit(1).subquery()
+        for name in INDEX_NAMES
+    ]
+    reaches = and_(row.last >= since, row.first <= till)
+    is_last = row.id.in_(union_all(*(select(last.c.id) for last in lasts)))
+    return select(row).where(or_(reaches, is_last)).order_by(row.created_at, row.id)
+
+
+NEAR: Final = _near()
+"""Made once: to make it costs more than to execute it."""
 
 
 class IndexRepository:
@@ -114,14 +131,14 @@ class IndexRepository:
         A file whose hours all came again in later ones is left out. Of a kind of which none reaches there the last one
         is given: it says where the index ends.
         """
-        reaches = (IndexFile.last >= _at(begin - MEMORY - AROUND)) & (IndexFile.first <= _at(end + AROUND))
-        rows = self.session.scalars(select(IndexFile).where(reaches).order_by(IndexFile.created_at, IndexFile.id)).all()
-        kept = _not_replaced(rows)
+        asked = {"since": _at(begin - MEMORY - AROUND), "till": _at(end + AROUND)}
+        rows = self.session.scalars(NEAR, asked).all()
+        kept = _not_replaced([row for row in rows if row.last >= asked["since"] and row.first <= asked["till"]])
         for name in set(INDEX_NAMES) - {row.name for row in kept}:
-            last = (
-                select(IndexFile).where(IndexFile.name == name).order_by(IndexFile.last.desc(), IndexFile.id).limit(1)
-            )
-            kept += self.session.scalars(last)
+            latest = max((row.last for row in rows if row.name == name), default=None)
+            kept += [row for row in rows if row.name == name and row.last == latest][:1]
+        if not kept:
+            return []
         wanted = select(IndexFile.id, IndexFile.intervals).where(IndexFile.id.in_([row.id for row in kept]))
         by_id: dict[str, bytes] = {str(row[0]): bytes(row[1]) for row in self.session.execute(wanted)}
         return [by_id[row.id] for row in kept]

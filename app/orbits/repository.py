@@ -7,7 +7,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Final
 
 import numpy as np
-from sqlalchemy import select
+from sqlalchemy import Integer, Select, bindparam, select, union_all
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
@@ -37,6 +37,26 @@ ROWS_AT_ONCE: Final = 500
 
 def _core_time(instant: datetime) -> np.datetime64:
     return np.datetime64(instant.astimezone(UTC).replace(tzinfo=None), "ns")
+
+
+def _around() -> Select[OrbitRow]:
+    """Return the statement for the orbits that may serve some data: see `OrbitRepository.around`."""
+    row = OrbitRow
+    since, till = bindparam("since", type_=row.epoch.type), bindparam("till", type_=row.epoch.type)
+    from_epoch, to_epoch = (bindparam(name, type_=row.epoch.type) for name in ("from_epoch", "to_epoch"))
+    own = select(row.id).where(row.satellite_id == bindparam("of"), row.withdrawn_at.is_(None))
+    free = own.where(row.until.is_(None))
+    parts = (
+        free.where(row.epoch <= since).order_by(row.epoch.desc()).limit(1),
+        free.where(row.epoch >= till).order_by(row.epoch).limit(1),
+        own.where(row.epoch <= till, row.until >= since).limit(bindparam("ephemerides", type_=Integer)),
+        free.where(row.epoch.between(from_epoch, to_epoch)).limit(bindparam("states", type_=Integer)),
+    )
+    return select(row).where(row.id.in_(union_all(*(select(part.subquery().c.id) for part in parts))))
+
+
+AROUND: Final = _around()
+"""Made once: to make it costs more than to execute it."""
 
 
 class OrbitRepository:
@@ -135,20 +155,18 @@ class OrbitRepository:
         OptionError
             There are more of them than one calibration takes; none is left out silently.
         """
-        own = select(OrbitRow).where(OrbitRow.satellite_id == self.satellite_id, OrbitRow.withdrawn_at.is_(None))
-        free = own.where(OrbitRow.until.is_(None))
         margin = timedelta(days=min(margin_days, NEAR_DAYS))
-        inside = free.where(OrbitRow.epoch.between(begin - margin, end + margin)).order_by(OrbitRow.epoch)
-        covering = own.where(OrbitRow.epoch <= end, OrbitRow.until >= begin)
-        before = free.where(OrbitRow.epoch <= begin).order_by(OrbitRow.epoch.desc()).limit(1)
-        after = free.where(OrbitRow.epoch >= end).order_by(OrbitRow.epoch).limit(1)
-        found = {row.id: row for statement in (before, after) for row in self.session.scalars(statement)}
-        for statement, most, kind in ((covering, MOST_EPHEMERIDES, "ephemerides"), (inside, MOST_STATES, "TLEs")):
-            rows = self.session.scalars(statement.limit(most + 1)).all()
+        asked = {
+            "of": self.satellite_id, "since": begin, "till": end, "from_epoch": begin - margin,
+            "to_epoch": end + margin, "ephemerides": MOST_EPHEMERIDES + 1, "states": MOST_STATES + 1,
+        }  # fmt: skip
+        found = self.session.scalars(AROUND, asked).all()
+        covering = [row for row in found if row.until is not None]
+        inside = [row for row in found if row.until is None and begin - margin <= row.epoch <= end + margin]
+        for rows, most, kind in ((covering, MOST_EPHEMERIDES, "ephemerides"), (inside, MOST_STATES, "TLEs")):
             if len(rows) > most:
                 raise OptionError(
                     f"more than {most} {kind} serve the data from {utc_text(begin)} to {utc_text(end)}: calibrate less "
                     "of them at a time"
                 )
-            found |= {row.id: row for row in rows}
-        return sorted(found.values(), key=lambda row: (row.epoch, row.id))
+        return sorted(found, key=lambda row: (row.epoch, row.id))

@@ -29,6 +29,7 @@ from magcal_core.samples import Samples
 from magcal_core.telemetry import merge_samples
 
 DAY: Final = timedelta(days=1)
+REMOVED: Final = "the telemetry is past its satellite's retention and has been removed"
 SESSIONS: Final = TelemetrySession.metadata.tables["session"]
 CHUNKS: Final = Chunk.metadata.tables["chunk"]
 """Without the mapper, for what an upload writes while it holds the writer's turn."""
@@ -247,7 +248,7 @@ class SessionRepository:
     def read_as(self, row: TelemetrySession, anew: Sequence[Parsed], store: Store) -> None:
         """Replace what was read from the chunks of a session by ``anew``, one for each of them."""
         if row.raw_removed_at is not None:
-            raise ExpiredError("the telemetry is past its satellite's retention and has been removed")
+            raise ExpiredError(REMOVED)
         chunks = self.chunks(row.id)
         if [chunk.sha256 for chunk in chunks] != [parsed.raw.sha256 for parsed in anew]:
             raise ConflictError("the session was given another chunk meanwhile")
@@ -290,12 +291,16 @@ class SessionRepository:
         if not rows:
             raise NotFoundError("no such session")
         if rows[0].raw_removed_at is not None:
-            raise ExpiredError("the telemetry is past its satellite's retention and has been removed")
-        return [
-            store.get(self.session, columns_key(session_id, row.sequence), row.columns_sha256)
-            for row in rows
-            if row.sequence is not None
-        ]
+            raise ExpiredError(REMOVED)
+        kept = [(row.sequence, row.columns_sha256) for row in rows if row.sequence is not None]
+        return [store.get(self.session, columns_key(session_id, number), sha256) for number, sha256 in kept]
+
+    def columns_of(self, row: TelemetrySession, chunks: Sequence[Chunk], store: Store) -> list[bytes]:
+        """Return what `columns` does, of a session whose ``chunks`` have been asked for already."""
+        if row.raw_removed_at is not None:
+            raise ExpiredError(REMOVED)
+        keys = [(columns_key(row.id, chunk.sequence), chunk.columns_sha256) for chunk in chunks]
+        return [store.get(self.session, key, sha256) for key, sha256 in keys]
 
     def check_day(self, most_bytes: int, declared: int) -> None:
         """Raise QuotaError where ``declared`` further bytes exceed what the caller's key may send in 24 hours."""

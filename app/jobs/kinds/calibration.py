@@ -112,15 +112,17 @@ class CalibrationKind:
 
     def load(self, session: Session, store: Store, claim: Claim) -> CalibrationWork:
         """Return the chunks, the orbits near them and the options of the claimed job."""
-        links = select(JobSession.session_id).where(JobSession.job_id == claim.job_id).order_by(JobSession.session_id)
         sessions = SessionRepository(session, SYSTEM)
-        rows = [sessions.get(one) for one in session.scalars(links)]
-        columns = [sessions.columns(row.id, store) for row in rows]
+        links = select(TelemetrySession).join(JobSession, JobSession.session_id == TelemetrySession.id)
+        rows = session.scalars(links.where(JobSession.job_id == claim.job_id).order_by(TelemetrySession.id)).all()
+        chunks = [sessions.chunks(row.id) for row in rows]
+        columns = [sessions.columns_of(row, own, store) for row, own in zip(rows, chunks, strict=True)]
         begin = min(row.data_from for row in rows if row.data_from is not None)
         end = max(row.data_until for row in rows if row.data_until is not None)
-        orbits = OrbitRepository(session, SYSTEM, str(claim.satellite_id))
-        near = orbits.around(begin, end, limit_days(claim.request))
+        # Held from here on, so that whoever asks for it again finds it without the database.
         satellite = SatelliteRepository(session, SYSTEM).get(str(claim.satellite_id))
+        orbits = OrbitRepository(session, SYSTEM, satellite.id)
+        near = orbits.around(begin, end, limit_days(claim.request))
         others = {row.id: other for row in near if (other := difference(satellite, row.details)) is not None}
         options = as_options(claim.request)
         file_id = options.pop(FIELD_FILE, None)
@@ -131,7 +133,7 @@ class CalibrationKind:
             orbits=[(row.id, row.content) for row in near],
             options=options,
             candidates=[orbits.get(one).content for one in _candidates(claim.request)],
-            inputs=[_input(row.id, sessions.chunks(row.id)) for row in rows],
+            inputs=[_input(row.id, own) for row, own in zip(rows, chunks, strict=True)],
             active=_in_force(session, claim, begin),
             strangers=others,
             intervals=files.intervals_near(begin, end),

@@ -81,6 +81,13 @@ def block_equations(
     return whole, BlockScores(scores, normals, starts, np.eye(scores.shape[1]))
 
 
+def block_sums(
+    observations: Observations, parameters: Parameters, starts: NDArray[np.intp], *, is_vector: bool
+) -> tuple[Floats, Floats]:
+    """Return normal matrices, shape (m, p, p), and gradients, shape (m, p), of the blocks that begin at ``starts``."""
+    return _parts(observations, parameters, starts, is_vector=is_vector)[:2]
+
+
 def own_equations(
     observations: Observations, parameters: Parameters, starts: NDArray[np.intp], *, is_vector: bool
 ) -> tuple[Equations, ...]:

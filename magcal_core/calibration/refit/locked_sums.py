@@ -240,9 +240,9 @@ def _memory(
     rows: Rows, columns: Floats, moments: SplitMoments, choices: Sequence[tuple[NDArray[np.intp], Floats]]
 ) -> Floats:
     """Return the memory of `LockedSums` under each of ``choices``: the unknowns, and the slopes that are taken off."""
-    made = []
+    made, whole = [], moments.as_one_block()
     for take, slopes in choices:
-        chosen = moments.chosen(take, slopes, np.ones(len(moments.blocks)))
+        chosen = whole.chosen(take, slopes, np.ones(1))
         plain = chosen.together()
         estimate = plain.total[: plain.known, : plain.known], plain.total[: plain.known, -1]
         over = chosen.deviations(scaled_inverse(estimate[0]) @ estimate[1], rows.count // moments.channels)

@@ -58,6 +58,10 @@ class SplitMoments:
         """Sum over all blocks, shape (w, w)."""
         return np.asarray(self.blocks.sum(axis=0))
 
+    def as_one_block(self) -> SplitMoments:
+        """Return the sum over all blocks as a block of its own: what only totals are asked of costs a block's time."""
+        return replace(self, blocks=self.total[None])
+
     @classmethod
     def of(cls, rows: Rows, columns: Floats, starts: NDArray[np.intp]) -> SplitMoments:
         """Return the moments of ``rows`` with ``columns`` of time, shape (n, t), by blocks that begin at ``starts``."""

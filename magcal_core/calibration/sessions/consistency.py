@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.contract import Fit
@@ -19,6 +19,8 @@ from magcal_core.sensor.parameters import Parameters
 
 INCONSISTENT_P: Final = 1e-3
 """Probability, over all comparisons together, below which sessions are said to disagree."""
+MOST_DIFFERENCES: Final = 2000
+"""Most differences that are told: of many sessions, the most significant ones."""
 _NAMED: Final = 4
 _FLOOR: Final = 0.1
 """Least eigenvalue of a covariance with a unit diagonal that a test of the parameters together relies on."""
@@ -78,7 +80,9 @@ class Consistency:
         Probability of a difference as significant as the largest one where there is none, over all comparisons
         (Bonferroni): it holds whatever the correlations, which few blocks cannot tell.
     differences : tuple of ParameterDifference
-        Every pair of sessions and every parameter, most significant first.
+        Pairs of sessions by parameter, most significant first, at most `MOST_DIFFERENCES`.
+    comparisons : int
+        How many there are: every pair of sessions and every parameter.
     """
 
     chi_square: float
@@ -86,6 +90,7 @@ class Consistency:
     p_value: float
     differences: tuple[ParameterDifference, ...]
     text: str
+    comparisons: int
 
     @property
     def is_consistent(self) -> bool:
@@ -100,6 +105,7 @@ class Consistency:
             "degrees_of_freedom": self.degrees_of_freedom,
             "p_value": self.p_value,
             "text": self.text,
+            "comparisons": self.comparisons,
             "differences": [difference.to_dict() for difference in self.differences],
         }
 
@@ -118,25 +124,45 @@ def consistency(estimates: Sequence[SessionEstimate]) -> Consistency:
     freedom. Where V_s stems from few blocks its small eigenvalues are too small; they are raised to a tenth of what
     independent parameters would have.
     """
-    from scipy.special import chdtrc, ndtr
+    from scipy.special import chdtrc
 
     if len(estimates) < 2:
         raise OptionError("a comparison needs at least two sessions")
     names = _common_names(estimates)
-    values, covariances = zip(*(_selected(estimate, names) for estimate in estimates), strict=True)
-    differences = []
-    for (i, first), (j, second) in itertools.combinations(enumerate(estimates), 2):
-        errors = np.sqrt(np.diag(covariances[i]) + np.diag(covariances[j]))
-        for name, difference, error in zip(names, values[j] - values[i], errors, strict=True):
-            p_value = float(2.0 * ndtr(-abs(difference) / max(error, 1e-300)))
-            differences.append(
-                ParameterDifference(name, first.label, second.label, float(difference), float(error), p_value)
-            )
-    differences.sort(key=lambda one: -one.sigmas)
-    p_value = min(1.0, len(differences) * differences[0].p_value)
+    values, covariances = (np.array(part) for part in zip(*(_selected(one, names) for one in estimates), strict=True))
+    differences = _differences(estimates, names, values, np.diagonal(covariances, axis1=1, axis2=2))
+    comparisons = len(estimates) * (len(estimates) - 1) // 2 * len(names)
+    p_value = min(1.0, comparisons * differences[0].p_value)
     statistic, freedom = _wald(values, covariances), (len(estimates) - 1) * len(names)
-    chi_p = float(chdtrc(freedom, statistic))
-    return Consistency(statistic, freedom, p_value, tuple(differences), _text(differences, p_value, chi_p))
+    text = _text(differences, comparisons, p_value, float(chdtrc(freedom, statistic)))
+    return Consistency(statistic, freedom, p_value, differences, text, comparisons)
+
+
+def _differences(
+    estimates: Sequence[SessionEstimate], names: Sequence[str], values: Floats, variances: Floats
+) -> tuple[ParameterDifference, ...]:
+    """Return the most significant differences of ``values`` with ``variances``, both of shape (n, p)."""
+    from scipy.special import ndtr
+
+    kept: list[NDArray[np.float64]] = []
+    for first in range(len(estimates) - 1):
+        difference = values[first + 1 :] - values[first]
+        error = np.sqrt(variances[first] + variances[first + 1 :])
+        second, name = np.divmod(np.arange(difference.size), len(names))
+        sigmas = np.abs(difference) / np.maximum(error, 1e-300)
+        found = np.array([sigmas.ravel(), np.full(len(name), first), first + 1 + second, name])
+        kept = [_largest(np.concatenate([*kept, np.concatenate([found, [difference.ravel(), error.ravel()]])], axis=1))]
+    (best,) = kept
+    p_values = 2.0 * ndtr(-best[0])
+    return tuple(
+        ParameterDifference(names[int(k)], estimates[int(i)].label, estimates[int(j)].label, value, error, p)
+        for (_, i, j, k, value, error), p in zip(best.T.tolist(), p_values.tolist(), strict=True)
+    )
+
+
+def _largest(differences: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the columns with the largest first entries, largest first, those that are equal in their order."""
+    return differences[:, np.argsort(-differences[0], kind="stable")[:MOST_DIFFERENCES]]
 
 
 def _common_names(estimates: Sequence[SessionEstimate]) -> list[str]:
@@ -149,7 +175,7 @@ def _selected(estimate: SessionEstimate, names: Sequence[str]) -> tuple[Floats, 
     return estimate.parameters.vector[index], estimate.covariance[np.ix_(index, index)]
 
 
-def _wald(values: Sequence[Floats], covariances: Sequence[Floats]) -> float:
+def _wald(values: Floats, covariances: Floats) -> float:
     inverses = [floored_inverse(covariance, _FLOOR) for covariance in covariances]
     total = np.sum(inverses, axis=0)
     weighted = np.sum([inverse @ value for inverse, value in zip(inverses, values, strict=True)], axis=0)
@@ -157,7 +183,7 @@ def _wald(values: Sequence[Floats], covariances: Sequence[Floats]) -> float:
     return float(sum((v - mean) @ inverse @ (v - mean) for v, inverse in zip(values, inverses, strict=True)))
 
 
-def _text(differences: Sequence[ParameterDifference], p_value: float, chi_p: float) -> str:
+def _text(differences: Sequence[ParameterDifference], comparisons: int, p_value: float, chi_p: float) -> str:
     worst = differences[0]
     if p_value >= INCONSISTENT_P:
         return f"the sessions agree: the largest difference is {worst.sigmas:.1f} sigma, in {worst.parameter}"
@@ -165,7 +191,7 @@ def _text(differences: Sequence[ParameterDifference], p_value: float, chi_p: flo
         f"{one.parameter} of {one.second} and {one.first} by {one.difference:+.4g}{_unit(one.parameter)}, "
         f"{one.sigmas:.1f} sigma"
         for one in differences[:_NAMED]
-        if one.p_value * len(differences) < INCONSISTENT_P
+        if one.p_value * comparisons < INCONSISTENT_P
     )
     return f"the sessions disagree: {told} (all parameters together p = {chi_p:.1g})"
 

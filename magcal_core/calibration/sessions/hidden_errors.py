@@ -13,12 +13,10 @@ An error of the reference moves d by C J'c.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.contract import Fit, FitStatus
@@ -28,7 +26,7 @@ from magcal_core.calibration.terms.locked import locked_terms
 from magcal_core.calibration.terms.locked_columns import LockedColumns
 from magcal_core.calibration.terms.locked_rows import largest_terms, products_of, share_of
 from magcal_core.calibration.uncertainty.consider_errors import ReferenceErrors, reference_shifts
-from magcal_core.calibration.uncertainty.honest_covariance import covered_s, honest_covariance
+from magcal_core.calibration.uncertainty.honest_covariance import covered_s, widened_covariance
 from magcal_core.numerics.blocks import BlockScores
 from magcal_core.numerics.linear_algebra import scaled_inverse
 from magcal_core.observations import Observations, residuals_nt
@@ -140,37 +138,12 @@ def _as_fit(o: Observations, at: Parameters, *, is_vector: bool) -> Fit:
     return Fit("", at, np.zeros((p, p)), r, o.weights, 1.0, 0.0, FitStatus.CONVERGED, 0, nothing)
 
 
-def joint_covariance(
-    covariance: Floats, places: Sequence[NDArray[np.intp]], hidden: Sequence[HiddenErrors], formal: Floats
-) -> Floats:
-    """Return the ``covariance`` of all unknowns of several sessions, shape (q, q), with what is hidden in each.
-
-    ``places``: where each session's parameters stand; ``formal``: C of all, shape (q, q). What a field model lacks has
-    the same sign in every session, all else is independent.
-    """
-    found = covariance.copy()
-    lasting: dict[str, Floats] = {}
-    for place, one in zip(places, hidden, strict=True):
-        # An error of the session's own parameters carried on to the others, as the estimate would.
-        carry = formal[:, place] @ scaled_inverse(formal[np.ix_(place, place)])
-        found += carry @ one.locked @ carry.T
-        for name, push in zip(one.sources, one.pushes, strict=True):
-            shift = formal[:, place] @ push
-            if name.startswith(SHARED_SIGN):
-                lasting[name] = lasting.get(name, np.zeros(len(found))) + shift
-            else:
-                found += np.outer(shift, shift)
-    for shift in lasting.values():
-        found += np.outer(shift, shift)
-    return found
-
-
 def covariance_alone(fit: Fit, o: Observations, session: Surrounded | None) -> Floats:
     """Return the covariance of one session's ``fit``: honest, beside locked errors, with errors of the reference."""
     duration_s = covered_s(o.t_s)
     columns = None if session is None else session.columns(o, fit)
     if columns is None:
-        found = honest_covariance(fit.blocks, fit.covariance, len(o), duration_s).covariance
+        found = widened_covariance(fit.blocks, fit.covariance, duration_s)
     else:
         found = locked_terms(o, fit, columns, duration_s, never=True).covariance
     if session is None:

@@ -12,26 +12,25 @@ from numpy.typing import NDArray
 from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.contract import Fit, FitSettings
 from magcal_core.calibration.estimators.loss import AUTO, AUTO_LOSS, fit_under_loss
-from magcal_core.calibration.estimators.normal_equations import block_equations, equations_at
+from magcal_core.calibration.estimators.normal_equations import block_sums, equations_at
 from magcal_core.calibration.estimators.scalar import ScalarFit
 from magcal_core.calibration.estimators.vector import VectorFit
 from magcal_core.calibration.sessions.consistency import INCONSISTENT_P, Consistency, consistency_of_fits
-from magcal_core.calibration.sessions.hidden_errors import (
-    Surrounded,
-    hidden_errors,
-    joint_covariance,
-)
-from magcal_core.calibration.uncertainty.honest_covariance import covered_s, honest_covariance
+from magcal_core.calibration.sessions.hidden_errors import HiddenErrors, Surrounded, hidden_errors
+from magcal_core.calibration.sessions.joint_errors import JointBlocks, joint_honest_covariance, pieces_of, with_hidden
+from magcal_core.calibration.uncertainty.honest_covariance import covered_s
 from magcal_core.errors import EstimationError, Fault, NotObservableError, OptionError
-from magcal_core.numerics.blocks import BlockScores
-from magcal_core.numerics.levenberg_marquardt import Minimum, minimise
-from magcal_core.numerics.linear_algebra import scaled_condition, scaled_inverse
+from magcal_core.numerics.blocks import block_starts
+from magcal_core.numerics.bordered import BlockAndLowRank, Bordered, Split
+from magcal_core.numerics.bordered_search import BorderedMinimum, Sums, minimise_bordered
 from magcal_core.numerics.robust import robust_sigma, weights_and_slopes
 from magcal_core.observations import Observations, residuals_nt
 from magcal_core.sensor.parameters import Parameters
 
 DEFAULT_SHARED: Final = ("scale", "nonorthogonality_deg")
 """What does not change between sessions of one sensor: its axes. The bias does, with what is switched on near it."""
+MOST_IN_RECORD: Final = 300
+"""Most unknowns whose covariance a record has whole; each session's standard errors it always has."""
 _BLOCKS: Final = 256
 _ROUNDS: Final = 30
 
@@ -64,7 +63,8 @@ class JointFit:
     Attributes
     ----------
     names : names of the unknowns; a session's own ones are ``label:name``.
-    values, covariance : shape (q,), (q, q), the latter honest.
+    values : shape (q,)
+    errors : the honest covariance as it is kept: block-diagonal and of low rank.
     consistency : test of the sessions calibrated one by one; None where fewer than two can be.
     warnings : sessions that determine too little alone, shared parameters that disagree.
     """
@@ -73,10 +73,15 @@ class JointFit:
     shared: tuple[str, ...]
     names: tuple[str, ...]
     values: Floats
-    covariance: Floats
+    errors: BlockAndLowRank
     consistency: Consistency | None
     is_converged: bool
     warnings: tuple[str, ...]
+
+    @property
+    def covariance(self) -> Floats:
+        """The honest covariance of all unknowns, shape (q, q)."""
+        return self.errors.dense()
 
     def with_time_base(self, time_base_utc: np.datetime64 | None) -> JointFit:
         """Return the fit with the instant since which the regressor ``time`` counts its hours."""
@@ -92,7 +97,7 @@ class JointFit:
             "shared": list(self.shared),
             "parameter_names": list(self.names),
             "values": self.values.tolist(),
-            "covariance": self.covariance.tolist(),
+            "covariance": self.covariance.tolist() if len(self.names) <= MOST_IN_RECORD else None,
             "consistency": None if self.consistency is None else self.consistency.to_dict(),
             "is_converged": self.is_converged,
             "warnings": list(self.warnings),
@@ -166,7 +171,8 @@ class _Problem:
     labels: tuple[str, ...]
     shared: tuple[str, ...]
     names: tuple[str, ...]
-    places: tuple[NDArray[np.intp], ...]
+    split: Split
+    places: Sequence[NDArray[np.intp]]
     start: Floats
     template: Parameters
     is_vector: bool
@@ -188,19 +194,17 @@ class _Problem:
         first = _first(sessions, alone, is_vector=is_vector, robust=robust)
         template = replace(first, time_offset_s=None)
         common = _shared_names(template, shared)
-        names = [name for name in template.names if name in common]
-        places, start = [], dict(zip(names, (template.vector[template.names.index(n)] for n in names), strict=True))
+        is_shared = np.array([name in common for name in template.names])
+        split = Split(np.flatnonzero(is_shared), np.flatnonzero(~is_shared))
+        kept = tuple(template.names[i] for i in split.shared)
+        names, start = list(kept), [template.vector[split.shared]]
         for label, fit in zip(labels, alone, strict=True):
             own = template if fit is None else fit.parameters
-            place = []
-            for name, value in zip(template.names, own.vector, strict=False):
-                key = name if name in common else f"{label}:{name}"
-                start.setdefault(key, float(value))
-                place.append(list(start).index(key))
-            places.append(np.array(place, dtype=np.intp))
-        values = np.array(list(start.values()))
-        kept = tuple(name for name in template.names if name in common)
-        return cls(sessions, labels, kept, tuple(start), tuple(places), values, template, is_vector, robust)
+            names += [f"{label}:{template.names[i]}" for i in split.own]
+            start.append(own.vector[split.own])
+        places = split.places(len(labels))
+        begin = np.concatenate(start)
+        return cls(sessions, labels, kept, tuple(names), split, places, begin, template, is_vector, robust)
 
     def parameters(self, values: Floats, session: int) -> Parameters:
         return self.template.with_vector(values[self.places[session]])
@@ -212,7 +216,7 @@ class _Problem:
         for _ in range(_ROUNDS):
             weighted = [self._weighted(values, i, sigma) for i, sigma in enumerate(sigmas)]
             minimum = self._minimise(values, weighted, sigmas)
-            moved = np.abs(minimum.theta - values) * np.sqrt(np.diag(minimum.normal))
+            moved = np.abs(minimum.theta - values) * np.sqrt(minimum.sums.normal.diagonal())
             values = minimum.theta
             renewed = np.array([self._sigma(values, i) for i in range(len(self.sessions))])
             is_still = bool(np.all(np.abs(renewed - sigmas) <= 1e-4 * sigmas) and np.all(moved <= 1e-3))
@@ -242,38 +246,36 @@ class _Problem:
         worst = np.abs(r) if r.ndim == 1 else np.abs(r).max(axis=1)
         return replace(o, weights=o.weights * weights_and_slopes(worst, self.robust, sigma)[0])
 
-    def _minimise(self, values: Floats, weighted: Sequence[Observations], sigmas: Floats) -> Minimum:
-        def evaluate(at: Floats, normal: Floats, gradient: Floats) -> float:
-            normal[:, :] = 0.0
-            gradient[:] = 0.0
-            cost = 0.0
-            for i, (o, place) in enumerate(zip(weighted, self.places, strict=True)):
-                part = equations_at(o, self.parameters(at, i), is_vector=self.is_vector)
-                normal[np.ix_(place, place)] += part.normal / sigmas[i] ** 2
-                gradient[place] += part.gradient / sigmas[i] ** 2
-                cost += part.cost / sigmas[i] ** 2
-            return cost
+    def _minimise(self, values: Floats, weighted: Sequence[Observations], sigmas: Floats) -> BorderedMinimum:
+        variances = sigmas**2
+
+        def evaluate(at: Floats) -> Sums:
+            parts = [equations_at(o, self.parameters(at, i), is_vector=self.is_vector) for i, o in enumerate(weighted)]
+            normals = np.array([part.normal for part in parts]) / variances[:, None, None]
+            gradient = np.zeros(len(at))
+            for place, part, variance in zip(self.places, parts, variances, strict=True):
+                gradient[place] += part.gradient / variance
+            cost = float(np.sum(np.array([part.cost for part in parts]) / variances))
+            return Sums(Bordered.of(normals, self.split), gradient, cost)
 
         squares = [np.sum(o.weights * o.b_nt**2) / s**2 for o, s in zip(weighted, sigmas, strict=True)]
-        return minimise(evaluate, values, float(np.sqrt(np.sum(squares))))
+        return minimise_bordered(evaluate, values, float(np.sqrt(np.sum(squares))))
 
-    def blocks(self, solution: _Solution) -> BlockScores:
-        """Return the scores of short blocks of equal length, of all sessions one after the other."""
-        q, total = len(self.names), sum(len(session) for session in self.sessions)
-        scores, normals, starts = [], [], []
-        before = 0
-        for i, (o, place) in enumerate(zip(solution.weighted, self.places, strict=True)):
-            count = max(1, round(_BLOCKS * len(self.sessions) * len(o) / total))
-            at = self.parameters(solution.values, i)
-            _, part = block_equations(o, at, is_vector=self.is_vector, blocks=count)
-            score, normal = np.zeros((len(part.starts), q)), np.zeros((len(part.starts), q, q))
-            score[:, place] = part.scores / solution.sigmas[i] ** 2
-            normal[:, place[:, None], place] = part.normals / solution.sigmas[i] ** 2
-            scores.append(score)
-            normals.append(normal)
-            starts.append(part.starts + before)
-            before += len(o)
-        return BlockScores(np.concatenate(scores), np.concatenate(normals), np.concatenate(starts), np.eye(q))
+    def blocks(self, solution: _Solution) -> JointBlocks:
+        """Return the sums over short blocks of equal length, of all sessions one after the other."""
+        total = sum(len(session) for session in self.sessions)
+        share = _BLOCKS * len(self.sessions) / total
+        starts = [block_starts(len(o), max(1, round(share * len(o)))) for o in self.sessions]
+        begins, blocks, count = pieces_of(starts)
+        sums = [
+            block_sums(o, self.parameters(solution.values, i), begins[i], is_vector=self.is_vector)
+            for i, o in enumerate(solution.weighted)
+        ]
+        sessions = np.repeat(np.arange(len(blocks)), [len(one) for one in blocks])
+        variances = solution.sigmas[sessions] ** 2
+        normals, scores = (np.concatenate([one[which] for one in sums]) for which in (0, 1))
+        merged = np.concatenate(blocks)
+        return JointBlocks(normals / variances[:, None, None], scores / variances[:, None], sessions, merged, count)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -326,13 +328,13 @@ def _assemble(
     problem: _Problem, solution: _Solution, alone: Sequence[Fit | None], surrounded: Sequence[Surrounded] | None
 ) -> JointFit:
     blocks = problem.blocks(solution)
-    total = sum(len(session) for session in problem.sessions)
     formal = _formal(problem, blocks)
     duration_s = sum(covered_s(session.t_s) for session in problem.sessions)
-    honest = honest_covariance(blocks, formal, total, duration_s).covariance
+    honest = joint_honest_covariance(blocks, formal, problem.split, duration_s)
     if surrounded is not None:
-        honest = _with_hidden(problem, solution, honest, formal, surrounded)
-    errors = np.sqrt(np.diag(honest))
+        hidden = _hidden(problem, solution, formal, surrounded)
+        honest = with_hidden(honest, formal, problem.split, hidden)
+    errors = np.sqrt(honest.diagonal())
     sessions = tuple(
         JointSession(
             label,
@@ -355,38 +357,36 @@ def _assemble(
     return JointFit(sessions, problem.shared, names, solution.values, honest, tested, converged, tuple(warnings))
 
 
-def _with_hidden(
-    problem: _Problem, solution: _Solution, honest: Floats, formal: Floats, surrounded: Sequence[Surrounded]
-) -> Floats:
-    """Return the covariance with what is hidden in each session."""
-    hidden = [
+def _hidden(
+    problem: _Problem, solution: _Solution, formal: BlockAndLowRank, surrounded: Sequence[Surrounded]
+) -> list[HiddenErrors]:
+    return [
         hidden_errors(
             o,
             problem.parameters(solution.values, i),
             float(solution.sigmas[i]),
-            formal[np.ix_(problem.places[i], problem.places[i])],
+            formal.of_group(i, problem.split),
             surrounded[i],
             is_vector=problem.is_vector,
             is_minimum=True,
         )
         for i, o in enumerate(solution.weighted)
     ]
-    return joint_covariance(honest, problem.places, hidden, formal)
 
 
-def _formal(problem: _Problem, blocks: BlockScores) -> Floats:
+def _formal(problem: _Problem, blocks: JointBlocks) -> BlockAndLowRank:
     """Return the white-noise covariance; what no session determines is refused."""
-    normal = blocks.normals.sum(axis=0)
-    size = np.sqrt(np.diag(normal))
-    is_dead = ~(size > 0)
-    if is_dead.any() or scaled_condition(normal) > 1e14:
-        hidden = [name for name, dead in zip(problem.names, is_dead, strict=True) if dead] or list(problem.names)
-        raise NotObservableError("the sessions together do not determine the parameters", hidden)
-    return scaled_inverse(normal)
+    normal = Bordered.of(blocks.by_session(blocks.normals), problem.split)
+    try:
+        return normal.inverse()
+    except NotObservableError as error:
+        dead = [name for name, square in zip(problem.names, normal.diagonal(), strict=True) if not square > 0]
+        hidden = dead or list(problem.names)
+        raise NotObservableError("the sessions together do not determine the parameters", hidden) from error
 
 
 def _disagreements(tested: Consistency, shared: Sequence[str]) -> list[str]:
-    count = len(tested.differences)
+    count = tested.comparisons
     return [
         f"shared_parameter_differs: {one.parameter} of {one.second} and {one.first} by {one.sigmas:.1f} sigma"
         for one in tested.differences

@@ -61,9 +61,13 @@ def honest_covariance(scores: BlockScores, formal: Floats, samples: int, duratio
 
     ``duration_s``: time that the samples cover, s (`covered_s`).
     """
+    return with_blocks(widened_covariance(scores, formal, duration_s), scores, samples, duration_s)
+
+
+def widened_covariance(scores: BlockScores, formal: Floats, duration_s: float) -> Floats:
+    """Return the matrix of `honest_covariance` alone."""
     widening = np.sqrt(honest_variances(scores, formal, duration_s) / np.maximum(np.diag(formal), 1e-300))
-    widened = formal * np.outer(widening, widening)
-    return with_blocks(widened, scores, samples, duration_s)
+    return np.asarray(formal * np.outer(widening, widening))
 
 
 def with_blocks(covariance: Floats, scores: BlockScores, samples: int, duration_s: float) -> HonestCovariance:
@@ -82,8 +86,12 @@ def honest_variances(scores: BlockScores, formal: Floats, duration_s: float) -> 
 
     ``duration_s``: time that the samples cover, s (`covered_s`).
     """
-    variances, frequencies = low_frequency_variances(scores, duration_s)
-    return np.maximum(variances * (student_95(frequencies) / 1.96) ** 2, np.diag(formal))
+    return never_below(*low_frequency_variances(scores, duration_s), np.diag(formal))
+
+
+def never_below(variances: Floats, frequencies: int, formal: Floats) -> Floats:
+    """Return ``variances`` of so many frequencies, shape (p,), with Student's t, none below its ``formal`` one."""
+    return np.maximum(variances * (student_95(frequencies) / 1.96) ** 2, formal)
 
 
 def _block_length(scores: BlockScores) -> int:

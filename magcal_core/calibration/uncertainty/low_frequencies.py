@@ -21,6 +21,7 @@ them: an error with the period of the orbit beats slowly with what the parameter
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
@@ -43,7 +44,8 @@ WHITE_ODDS: Final = 0.75
 """Probability, before the data are seen, that the scores are white."""
 ODDS_STRENGTH: Final = 4.0
 """In how many parameters' place that probability stands when all of them tell theirs."""
-_BLOCKS: Final = 64
+MERGED_BLOCKS: Final = 64
+"""To how many blocks those of a session are put together."""
 _FREQUENCIES: Final = 40
 _LEAST_SHARE: Final = 0.1
 """Least share of a frequency's white noise that the fit is taken to leave: what it took up is not known better."""
@@ -71,21 +73,62 @@ def low_frequency_variances(scores: BlockScores, duration_s: float) -> tuple[Flo
         raise NotObservableError(
             "the samples do not determine the parameters: their normal matrix is not positive definite"
         )
-    m = len(sums)
-    count = min(m - 1, _FREQUENCIES)
-    cosines, shapes, sizes, logarithms = _processes(m, count, _memories(duration_s, m))
+    processes = processes_of(len(sums), duration_s)
     total = normals.sum(axis=0)
     inverse = scaled_inverse(total)
     to_parameters = scores.to_parameters @ inverse
-    power = (cosines.T @ sums @ to_parameters.T) ** 2
-    excess = power / _white(cosines, normals, inverse, to_parameters)
-    rest = (1.0 / shapes) @ excess
-    if (rest < 0.0).any():
-        raise NotObservableError("the samples do not determine the parameters: rounding makes their variances negative")
-    likelihood = -0.5 * logarithms - 0.5 * count * np.log(np.maximum(rest, 1e-300))
-    weights = _weights(np.exp(likelihood - likelihood.max(axis=0)))
-    factor = _spread(weights, np.sqrt(rest * sizes[:, None] / count)) ** 2
-    return factor * np.einsum("pa,ab,pb->p", to_parameters, total, to_parameters), count
+    power = (processes.cosines.T @ sums @ to_parameters.T) ** 2
+    excess = power / _white(processes.cosines, normals, inverse, to_parameters)
+    factor = processes.widening(excess)
+    return factor * np.einsum("pa,ab,pb->p", to_parameters, total, to_parameters), processes.cosines.shape[1]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Processes:
+    """White noise and every memory and size that scores of m blocks are set beside.
+
+    Attributes
+    ----------
+    cosines : shape (m, k)
+        Of the frequencies, by block.
+    shapes, sizes : shape (g, k), (g,)
+        1 + a d_k, and 1 + a z.
+    logarithms : shape (g, 1)
+        Sums of the logarithms of ``shapes``.
+    """
+
+    cosines: Floats
+    shapes: Floats
+    sizes: Floats
+    logarithms: Floats
+
+    def widening(self, excess: Floats) -> Floats:
+        """Return variances over those of white noise, shape (p,), where the scores have ``excess``, shape (k, p).
+
+        Raises
+        ------
+        NotObservableError
+            Rounding has made some of it negative.
+        """
+        count = self.cosines.shape[1]
+        rest = (1.0 / self.shapes) @ excess
+        if (rest < 0.0).any():
+            raise NotObservableError(
+                "the samples do not determine the parameters: rounding makes their variances negative"
+            )
+        likelihood = -0.5 * self.logarithms - 0.5 * count * np.log(np.maximum(rest, 1e-300))
+        weights = _weights(np.exp(likelihood - likelihood.max(axis=0)))
+        return _spread(weights, np.sqrt(rest * self.sizes[:, None] / count)) ** 2
+
+
+def processes_of(m: int, duration_s: float) -> Processes:
+    """Return the processes that ``m`` blocks over ``duration_s`` are set beside."""
+    return Processes(*_processes(m, min(m - 1, _FREQUENCIES), _memories(duration_s, m)))
+
+
+def left_by_fit(own: Floats, taken: Floats) -> Floats:
+    """Return the power that white noise has after the fit, of what it has before and what the fit took up."""
+    return np.asarray(np.maximum(own - taken, _LEAST_SHARE * own + 1e-300))
 
 
 def longest_memory_s(duration_s: float) -> float:
@@ -138,11 +181,11 @@ def _spread(weights: Floats, deviations: Floats) -> Floats:
 
 
 def _merged(scores: BlockScores) -> tuple[Floats, Floats]:
-    """Return the sums of scores and normal matrices over at most `_BLOCKS` blocks."""
+    """Return the sums of scores and normal matrices over at most `MERGED_BLOCKS` blocks."""
     count = len(scores.starts)
-    if count <= _BLOCKS:
+    if count <= MERGED_BLOCKS:
         return scores.scores, scores.normals
-    edges = (np.arange(_BLOCKS) * count) // _BLOCKS
+    edges = (np.arange(MERGED_BLOCKS) * count) // MERGED_BLOCKS
     return np.add.reduceat(scores.scores, edges, axis=0), np.add.reduceat(scores.normals, edges, axis=0)
 
 
@@ -157,7 +200,7 @@ def _white(cosines: Floats, normals: Floats, inverse: Floats, to_parameters: Flo
     shared = (cosines.T @ flat).reshape(-1, q, q)
     own = np.sum((to_parameters @ before) * to_parameters, axis=2)
     taken = np.sum((to_parameters @ (shared @ inverse @ shared)) * to_parameters, axis=2)
-    return np.asarray(np.maximum(own - taken, _LEAST_SHARE * own + 1e-300))
+    return left_by_fit(own, taken)
 
 
 @lru_cache(maxsize=64)

@@ -4,6 +4,7 @@ import json
 import time
 from datetime import UTC, datetime, timedelta
 
+import numpy as np
 import pytest
 from sqlalchemy import event, select
 
@@ -161,6 +162,42 @@ def test_a_long_session_is_served_by_all_its_tles(api, service, satellite):
         assert inside <= {row.id for row in rows}
         for at in (begin, end, begin - timedelta(hours=12), end + timedelta(hours=12)):
             assert chosen(rows, at).epoch == min(every.values(), key=lambda epoch: abs(epoch - at))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_may_serve_is_found_by_one_statement_as_by_looking_at_every_orbit(api, service, satellite, seed):
+    """Epochs, ephemerides and withdrawals drawn at random, against the rule written out in Python."""
+    rng = np.random.default_rng(seed)
+    start = datetime(2022, 1, 1, tzinfo=UTC)
+    rows = []
+    for number in range(60):
+        epoch = start + timedelta(hours=float(rng.uniform(0, 400)))
+        until = epoch + timedelta(hours=float(rng.uniform(1, 60))) if rng.random() < 0.3 else None
+        withdrawn = start if rng.random() < 0.2 else None
+        rows.append(OrbitRow(
+            id=f"{satellite}-{number}"[-32:], satellite_id=satellite, format="tle", name=None, epoch=epoch, until=until,
+            content="", sha256=f"{number:064d}", details={}, created_at=start, created_by=None, withdrawn_at=withdrawn,
+            withdrawn_by=None,
+        ))  # fmt: skip
+    with service.database.write() as session:
+        session.add_all(rows)
+    used = [row for row in rows if row.withdrawn_at is None]
+    states = [row for row in used if row.until is None]
+    with service.database.read() as session:
+        orbits = OrbitRepository(session, SYSTEM, satellite)
+        for first, hours in ((-50.0, 1.0), (100.0, 3.0), (200.0, 90.0), (390.0, 40.0)):
+            begin = start + timedelta(hours=first)
+            end = begin + timedelta(hours=hours)
+            wanted = {row.id for row in used if row.until is not None and row.epoch <= end and row.until >= begin}
+            day = timedelta(days=1)
+            wanted |= {row.id for row in states if begin - day <= row.epoch <= end + day}
+            before = [row for row in states if row.epoch <= begin]
+            after = [row for row in states if row.epoch >= end]
+            wanted |= {max(before, key=lambda row: row.epoch).id} if before else set()
+            wanted |= {min(after, key=lambda row: row.epoch).id} if after else set()
+            found = orbits.around(begin, end, 14.0)
+            assert {row.id for row in found} == wanted
+            assert [row.epoch for row in found] == sorted(row.epoch for row in found)
 
 
 def test_more_orbits_than_a_calibration_takes_are_refused_and_not_cut(api, service, satellite, monkeypatch):
