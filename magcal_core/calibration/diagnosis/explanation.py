@@ -22,6 +22,8 @@ GAINS: Final = 8.0
 """Factor by which the gain of an axis may differ from one: beyond it a quadric is no sensor."""
 COLOURED: Final = 0.4
 """Correlation of what neighbours leave from which on it is no noise."""
+NOISE: Final = 0.2
+"""Correlation up to which it is: of 100 pairs of noise, it is 0.1 by chance."""
 WHOLE: Final = 0.005
 """Scale, as a share of |B|, below which a coloured residual is what sensors leave."""
 FAR_BETTER: Final = 3.5
@@ -43,7 +45,7 @@ class Explanation:
     is_sensor : whether what was found is one: of readings that say nothing, and a field that hardly varies, the
         quadric's constant explains all, with gains that are next to nothing.
     neighbours : correlation of what inliers leave with what the next ones do: a wrong reference that comes near leaves
-        a smooth difference, the right one noise.
+        a smooth difference, the right one noise. NaN where too few have one.
     """
 
     scale: float
@@ -61,6 +63,11 @@ class Explanation:
     def is_coloured(self) -> bool:
         """Whether what is left is smooth."""
         return self.neighbours > COLOURED
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether a sensor explains the readings and leaves noise: no other clock or orbit is worth a look."""
+        return self.is_sound and abs(self.neighbours) <= NOISE
 
     def explains(self, given: Explanation) -> bool:
         """Whether this reference explains what the ``given`` one does not.
@@ -133,10 +140,10 @@ def _is_sensor(unknowns: Floats) -> bool:
 
 
 def _neighbours(residuals_nt: Floats, near: Mask) -> float:
-    """Return the correlation of residuals, shape (n,), with the next ones, of the rows ``near``; 0 of too few."""
+    """Return the correlation of residuals, shape (n,), with the next ones, of the rows ``near``; NaN of too few."""
     pairs = near[1:] & near[:-1]
     if np.count_nonzero(pairs) < _FEW_PAIRS:
-        return 0.0
+        return float("nan")
     r = residuals_nt - np.mean(residuals_nt[near])
     square = float(np.mean(r[near] ** 2))
     return float(np.mean(r[1:][pairs] * r[:-1][pairs])) / square if square > 0 else 0.0

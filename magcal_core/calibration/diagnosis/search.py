@@ -85,8 +85,8 @@ def _behind(given: Circumstances, rows: Rows, own: Explanation, t_utc: NDArray[n
     bad = bad_rows(given.samples, 1.0 - own.inlier_share) if own.scale < EXPLAINED else None
     figures = (own.scale if np.isfinite(own.scale) else None, own.inlier_share)
     # Of a wrong reference the best half of the rows may show a sensor as well: many far rows are worth a look too.
-    is_suspect = bad is not None and 1.0 - own.inlier_share > BAD_SHARE
-    if own.scale < WORTH_A_LOOK and not is_suspect:
+    is_suspect = bad is not None and 1.0 - own.inlier_share > BAD_SHARE and not own.is_settled
+    if (own.scale < WORTH_A_LOOK or bad is not None and own.is_settled) and not is_suspect:
         return Diagnosis(*figures, () if bad is None else (bad,))
     candidates = _candidates(given, rows, t_utc)
     tried = tuple(Tried(one.kind, _text(one), one.explanation.scale) for one in _best_of_each(candidates))
