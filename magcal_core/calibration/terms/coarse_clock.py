@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats, Times
+from magcal_core.calibration.estimators.many_references import median_residuals
 from magcal_core.calibration.estimators.robust_start import FEW_SUBSETS, Quadric
 from magcal_core.errors import MagcalError
 from magcal_core.observations import Observations
@@ -86,8 +87,8 @@ def coarse_clock(
         Their times.
     magnitude : callable
     is_clean : bool
-        Whether no row is bad. Bad rows are what a quadric leaves most of, at any offset: beside them the minima are
-        scored by the scale that least trimmed squares leave.
+        Whether no row is bad. Bad rows are what a quadric leaves most of, at any offset: beside them offsets are held
+        against each other by the median residual, and the minima by the scale that least trimmed squares leave.
     """
     quadric = _Quadric.of(observations)
     if len(quadric.rows) <= quadric.q.shape[1] + 1:
@@ -102,7 +103,10 @@ def coarse_clock(
 
     def left(offsets: Floats) -> Floats:
         parts = np.array_split(offsets, -(-len(offsets) // _AT_ONCE))
-        return np.concatenate([quadric.left(squares(at_s + part[:, None])) for part in parts])
+        return np.concatenate([some_left(squares(at_s + part[:, None])) for part in parts])
+
+    def some_left(some: Floats) -> Floats:
+        return quadric.left(some) if robust is None else median_residuals(robust, np.sqrt(some))
 
     def scored(offset_s: float, size: float) -> float:
         return size if robust is None else robust.scale_nt(np.sqrt(squares(at_s + offset_s)))
