@@ -1,7 +1,8 @@
 """Wrong inputs planted in sessions on missions drawn anew: how often the cause that is named first is the right one.
 
 A fault that a calibration mends by itself (an offset of the clock that `time_offset auto` takes) counts as found where
-the offset is right. ``MAGCAL_CAUSES`` sets the number of missions of each fault.
+the offset is right. ``MAGCAL_CAUSES`` sets the number of missions of each fault, ``MAGCAL_SEEDS_FROM`` the number that
+their seeds begin at.
 """
 
 from __future__ import annotations
@@ -192,8 +193,9 @@ def first_cause(given: Planted) -> str:
 def figures() -> Iterator[Figure]:
     """Yield, of every fault, how often the first cause is a right one, and what was named in its place."""
     missions = int(os.environ.get("MAGCAL_CAUSES", MISSIONS))
+    first = int(os.environ.get("MAGCAL_SEEDS_FROM", "5000"))
     for number, (name, (right, plant)) in enumerate(FAULTS.items()):
-        named = Counter(first_cause(plant(fresh(5000 + 100 * number + i))) for i in range(missions))
+        named = Counter(first_cause(plant(fresh(first + 100 * number + i))) for i in range(missions))
         share = 100.0 * sum(named[code] for code in right) / missions
         note = ", ".join(f"{code} {count}" for code, count in named.most_common())
         yield Figure(ROOM, f"{name}: the right cause first", share, "%", ">= 90", share >= 90.0, note)

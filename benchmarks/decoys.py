@@ -2,7 +2,8 @@
 
 Sessions on missions drawn anew, with a slow error of the bias that no column explains: a wave, unseen heat of the
 orbit, a walk, a memory of minutes, or none. Decoys are what operations files hold: random walks, housekeeping that
-follows the orbit, currents that switch. ``MAGCAL_DECOYS`` sets the number of sessions of each kind.
+follows the orbit, currents that switch. ``MAGCAL_DECOYS`` sets the number of sessions of each kind,
+``MAGCAL_SEEDS_FROM`` the number that their seeds begin at.
 """
 
 from __future__ import annotations
@@ -36,10 +37,12 @@ def taken(session: Session) -> tuple[str, ...] | None:
 def figures() -> Iterator[Figure]:
     """Yield how often a decoy is taken where no column, or one, moves the bias, and how often that one is found."""
     sessions = int(os.environ.get("MAGCAL_DECOYS", SESSIONS))
+    begin = int(os.environ.get("MAGCAL_SEEDS_FROM", "0"))
+    seeds = range(begin, begin + sessions)
     false, detected, every = [], [], 0
     for error in ERRORS:
         for true in ("", "temperature", "torquer"):
-            got = [(one, taken(one)) for one in (draw(seed, error, true) for seed in range(sessions))]
+            got = [(one, taken(one)) for one in (draw(seed, error, true) for seed in seeds)]
             known = [(one, names) for one, names in got if names is not None]
             every += len(known)
             wrong = [any(name != one.true for name in names) for one, names in known]
@@ -59,7 +62,7 @@ def figures() -> Iterator[Figure]:
     yield Figure(
         ROOM, "the column that moves it is taken", found, "%", ">= 90", found >= 90.0, f"{len(detected)} sessions"
     )
-    full = [taken(draw(seed, "wave", "", columns=FULL_TABLE)) for seed in range(sessions)]
+    full = [taken(draw(seed, "wave", "", columns=FULL_TABLE)) for seed in seeds]
     rate = 100.0 * float(np.mean([bool(names) for names in full if names is not None]))
     yield Figure(
         ROOM, f"{FULL_TABLE} columns, wave: with a decoy", rate, "%", "<= 5", rate <= 5.0, f"{len(full)} sessions"

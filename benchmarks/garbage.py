@@ -1,7 +1,8 @@
 """Sessions with garbage of every kind on missions drawn anew: how many are calibrated as if it were not there.
 
 A session counts where the same one without garbage is within `TWIN` of the field: what noise and motion leave is no
-matter of garbage. ``MAGCAL_GARBAGE`` sets the number of missions of each kind, share and method.
+matter of garbage. ``MAGCAL_GARBAGE`` sets the number of missions of each kind, share and method, ``MAGCAL_SEEDS_FROM``
+the number that their seeds begin at.
 """
 
 from __future__ import annotations
@@ -91,13 +92,14 @@ def _is_good(flown: Flown, method: str) -> bool:
 def figures() -> Iterator[Figure]:
     """Yield, of every kind and method over all shares, the sessions that are right, and the wrong ones accepted."""
     missions = int(os.environ.get("MAGCAL_GARBAGE", MISSIONS))
+    first = int(os.environ.get("MAGCAL_SEEDS_FROM", "0"))
     for method in METHODS:
         every: list[Outcome] = []
         for number, kind in enumerate(KINDS):
             found = []
             for i, share in enumerate(SHARES):
                 for trial in range(missions):
-                    seed = 1000 * number + 100 * i + trial
+                    seed = first + 1000 * number + 100 * i + trial
                     one = outcome(fresh(seed), kind, share, method, seed)
                     if one is not None:
                         found.append(one)

@@ -8,10 +8,13 @@ from typing import Final
 
 import numpy as np
 
+from magcal_core.calibration.diagnosis.explanation import Rows
+from magcal_core.calibration.diagnosis.search import FEWEST_ROWS, MOST_ROWS
 from magcal_core.calibration.diagnosis.wrong_input.suspicions import Suspicion
 from magcal_core.calibration.estimators.contract import Estimator, Fit, FitSettings
 from magcal_core.calibration.estimators.loss import LossFit, fit_under_loss
 from magcal_core.calibration.estimators.registry import ESTIMATORS
+from magcal_core.calibration.estimators.robust_start import rows_looked_at
 from magcal_core.calibration.terms.clock import AUTO_AGE_DAYS, ClockFit, fit_with_clock
 from magcal_core.calibration.terms.locked_clock import LockedClock
 from magcal_core.calibration.terms.trimmed_clock import TrimmedClock, clock_rows, trimmed_clock
@@ -54,7 +57,9 @@ def _beside_locked_errors(estimate: Estimate) -> Estimate:
     prepared = estimate.prepared
     session = prepared.session
     is_asked = prepared.options.time_offset == "estimate"
-    far = session.coarse_clock(prepared.observations)
+    # What bad rows leave is no matter of the clock, unless it is asked for.
+    is_settled = not is_asked and not estimate.loss.is_clean and _is_settled(prepared.observations)
+    far = None if is_settled else session.coarse_clock(prepared.observations, is_clean=estimate.loss.is_clean)
     trimmed, loss, begin_s = None, estimate.loss, 0.0
     if is_asked and far is not None and far.is_found:
         begin_s = far.offset_s
@@ -77,6 +82,15 @@ def _beside_locked_errors(estimate: Estimate) -> Estimate:
                 estimate, observations=taken.observations, fit=taken.fit, loss=found, clock=taken, tried_clock=taken
             )
     return estimate
+
+
+def _is_settled(observations: Observations) -> bool:
+    """Return whether a sensor explains most rows and leaves noise of them, so that the others are bad."""
+    used = np.flatnonzero(observations.weights > 0)
+    if len(used) < FEWEST_ROWS:
+        return False
+    few = used[rows_looked_at(len(used), MOST_ROWS)]
+    return Rows.of(observations.h_nt[few]).explanation(observations.b_nt[few]).is_settled
 
 
 def _tried(session: LockedSession, prepared: Prepared, loss: LossFit, begin_s: float, *, is_asked: bool) -> LockedClock:

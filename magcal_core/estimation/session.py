@@ -152,17 +152,17 @@ class LockedSession:
         along_s = along_km / SPEED_KM_S
         return ClockSearch(estimator, settings, at, known, errors, self.around.period_s, along_s)
 
-    def coarse_clock(self, observations: Observations, *, is_needed: bool = False) -> CoarseClock | None:
+    def coarse_clock(self, observations: Observations, *, is_clean: bool) -> CoarseClock | None:
         """Return a clock that is minutes or hours off, where the readings' quadric does not suit the field.
 
-        ``is_needed``: looked for even where it does.
+        ``is_clean``: no row is bad.
         """
-        if not self.referenced.has_orbit or (not is_needed and quadric_share(observations) < POOR):
+        if not self.referenced.has_orbit or quadric_share(observations) < POOR:
             return None
         t_utc = self.samples.t_utc
         one = self.referenced
         moving = MovingReference.about(t_utc, one.orbits, one.field, is_gcrf=False, uses=1)
-        return coarse_clock(observations, t_utc, lambda times: moving.at(times, None)[0])
+        return coarse_clock(observations, t_utc, lambda times: moving.at(times, None)[0], is_clean=is_clean)
 
     def at_offset(self, names: tuple[str, ...], offset_s: float) -> Observations | None:
         """Return the observations with the reference at a clock's offset; None where no orbit reaches there."""

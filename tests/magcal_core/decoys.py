@@ -75,7 +75,7 @@ def _slow_nt(kind: str, t_s: Floats, random: np.random.Generator, orbit_s: float
         return np.asarray(np.outer(np.sin(2 * np.pi * t_s / period_s + phase), 100.0 * direction))
     if kind == "heat":
         lit = np.clip(np.sin(2 * np.pi * t_s / orbit_s + phase) * 3.0 + 1.0, -1.0, 1.0)
-        return np.asarray(np.outer(_smoothed(lit, 600.0), 100.0 * direction))
+        return np.asarray(np.outer(smoothed(lit, 600.0), 100.0 * direction))
     if kind == "walk":
         steps = random.normal(size=(len(t_s), 3)) * 100.0 / np.sqrt(len(t_s))
         return np.asarray(np.cumsum(steps, axis=0))
@@ -86,7 +86,8 @@ def _slow_nt(kind: str, t_s: Floats, random: np.random.Generator, orbit_s: float
     return np.zeros((len(t_s), 3))
 
 
-def _smoothed(column: Floats, memory_s: float) -> Floats:
+def smoothed(column: Floats, memory_s: float) -> Floats:
+    """Return ``column`` through y' = (column - y) / memory, as what is heated follows the light."""
     share = np.exp(-STEP_S / memory_s)
     begin = lfiltic([1.0 - share], [1.0, -share], y=[column[0]])
     return np.asarray(lfilter([1.0 - share], [1.0, -share], column, zi=begin)[0])

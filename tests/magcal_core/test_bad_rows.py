@@ -1,5 +1,7 @@
 """A third of the rows may be anything: the calibration is what it is without them, or is refused by name."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from magcal_core.calibration.estimators.registry import ESTIMATORS
 from magcal_core.errors import EstimationError
 from magcal_core.pipeline import calibrate
 from tests.magcal_core.conftest import fly
+from tests.magcal_core.fresh import fresh
 from tests.magcal_core.garbage import KINDS, spoiled
 
 SHARES = (0.003, 0.05, 0.2, 0.3)
@@ -123,3 +126,24 @@ def test_a_saturated_sensor_is_told_and_its_rows_are_left_out(missions):
     got = calibrate(samples)
     assert got.extras["data_quality"]["flagged"]["saturated"] == is_bad.sum()
     assert [one for one in got.warnings if one.startswith("saturated: ")]
+
+
+@pytest.mark.parametrize(
+    ("kind", "share", "method", "seed"),
+    [("axis stuck", 0.3, "scalar", 209502), ("spikes of 200 uT", 0.05, "vector", 206201)],
+)
+def test_what_bad_rows_leave_is_no_matter_of_the_clock(kind, share, method, seed):
+    """Their residual falls to a fifth at some hour or other, whatever the clock: no suspicion, and no refusal."""
+    flown = fresh(seed)
+    samples, _ = spoiled(flown, kind, share, seed)
+    found = calibrate(flown.sent(samples, is_vector=method == "vector"), [flown.orbit], method=method)
+    assert found.verdict.grade != "refuse"
+    assert not found.extras["suspicions"]
+
+
+def test_a_clock_that_is_hours_off_is_found_beside_bad_rows():
+    flown = fresh(700004)
+    samples, _ = spoiled(flown, "spikes of 10 uT", 0.2, 1)
+    late = replace(samples, t_utc=samples.t_utc + np.timedelta64(7200, "s"))
+    found = calibrate(flown.sent(late), [flown.orbit], time_offset="estimate")
+    assert found.parameters.time_offset_s == pytest.approx(-7200.0, abs=1.5)

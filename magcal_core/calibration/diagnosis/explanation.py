@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 
 from magcal_core.arrays import Floats, Mask
-from magcal_core.calibration.estimators.robust_start import Quadric
+from magcal_core.calibration.estimators.loss import is_clean_within
+from magcal_core.calibration.estimators.robust_start import Quadric, scale_of
 
 EXPLAINED: Final = 0.02
 """Scale, as a share of |B|, below which a sensor explains the readings."""
@@ -22,13 +23,17 @@ GAINS: Final = 8.0
 """Factor by which the gain of an axis may differ from one: beyond it a quadric is no sensor."""
 COLOURED: Final = 0.4
 """Correlation of what neighbours leave from which on it is no noise."""
+NOISE: Final = 0.2
+"""Correlation up to which it is: of 100 pairs of noise, it is 0.1 by chance."""
 WHOLE: Final = 0.005
-"""Scale, as a share of |B|, below which a coloured residual is what sensors leave."""
+"""Capped RMS, as a share of |B|, below which a coloured residual is what sensors leave."""
 FAR_BETTER: Final = 3.5
 """Ratio of the capped residuals from which on a reference is better, coloured or not."""
+MOST: Final = 0.9
+"""Share of the rows within five scales that a right reference leaves where no rows are bad."""
 _SUBSETS: Final = 60
 _REACH: Final = 5.0
-_ROUNDS: Final = 3
+_RANK: Final = 1e-10
 _FEW_PAIRS: Final = 30
 
 
@@ -43,7 +48,7 @@ class Explanation:
     is_sensor : whether what was found is one: of readings that say nothing, and a field that hardly varies, the
         quadric's constant explains all, with gains that are next to nothing.
     neighbours : correlation of what inliers leave with what the next ones do: a wrong reference that comes near leaves
-        a smooth difference, the right one noise.
+        a smooth difference, the right one noise. NaN where too few have one.
     """
 
     scale: float
@@ -62,13 +67,19 @@ class Explanation:
         """Whether what is left is smooth."""
         return self.neighbours > COLOURED
 
+    @property
+    def is_settled(self) -> bool:
+        """Whether a sensor explains the readings and leaves noise: no other clock or orbit is worth a look."""
+        return self.is_sound and abs(self.neighbours) <= NOISE
+
     def explains(self, given: Explanation) -> bool:
         """Whether this reference explains what the ``given`` one does not.
 
-        What leaves a smooth difference of more than sensors do must be far better: of short sessions another hour's
-        field comes near.
+        What leaves a smooth difference of more than sensors do, or of only some of the rows, must be far better: of
+        short sessions another hour's field comes near.
         """
-        is_near = self.is_coloured and self.scale > WHOLE
+        is_partial = self.inlier_share < MOST and self.neighbours > NOISE
+        is_near = is_partial or (self.is_coloured and self.capped > WHOLE)
         return self.is_sound and self.capped <= given.capped / (FAR_BETTER if is_near else BETTER)
 
 
@@ -86,8 +97,13 @@ class Rows:
         return cls(own, Quadric.of(own, _SUBSETS))
 
     def explanation(self, b_nt: Floats) -> Explanation:
-        """Return how well the field ``b_nt``, shape (m,), nT, explains the rows: by least trimmed squares."""
-        r, scale_nt, unknowns = self.quadric.fit_residuals_nt(b_nt)
+        """Return how well the field ``b_nt``, shape (m,), nT, explains the rows.
+
+        By least squares where these leave no far row, else by least trimmed squares: of few rows half are always near.
+        """
+        r, scale_nt, unknowns = _plain(self.quadric, b_nt)
+        if not is_clean_within(r, scale_nt, float(np.median(b_nt))):
+            r, scale_nt, unknowns = self.quadric.fit_residuals_nt(b_nt)
         if not np.isfinite(scale_nt):
             return Explanation(np.inf, CAP, 0.0)
         size, field_nt = np.abs(r), float(np.median(b_nt))
@@ -96,33 +112,14 @@ class Rows:
         share = float(np.mean(near))
         return Explanation(scale_nt / field_nt, capped / field_nt, share, _is_sensor(unknowns), _neighbours(r, near))
 
-    def scores(self, fields_nt: Floats) -> Floats:
-        """Return the median residual, a share of |B|, that each of many references leaves, shape (c,).
 
-        ``fields_nt``: |B| of each, shape (c, m), nT.
-
-        Notes
-        -----
-        All ten unknowns of the quadric at once for every reference, three rounds reweighted with 1 / (1 + (r/s)^2):
-        cheap, and wrong rows lose their weight where the reference is right.
-        """
-        rows = self.quadric.squares
-        products = (rows[:, :, None] * rows[:, None, :]).reshape(len(rows), -1)
-        b = fields_nt / self.quadric.unit_nt
-        base = 1.0 / (2.0 * b) ** 2
-        weights, residual = base.copy(), np.empty_like(b)
-        size = rows.shape[1]
-        ridge = 1e-10 * np.eye(size)
-        for _ in range(_ROUNDS):
-            normals = (weights @ products).reshape(-1, size, size)
-            scale = np.sqrt(np.einsum("cii->ci", normals))
-            scaled = normals / (scale[:, :, None] * scale[:, None, :]) + ridge
-            right = ((weights * b * b) @ rows) / scale
-            found = np.linalg.solve(scaled, right[:, :, None])[:, :, 0] / scale
-            residual = np.abs(found @ rows.T - b * b) / (2.0 * b)
-            middle = np.maximum(np.median(residual, axis=1), 1e-12)
-            weights = base / (1.0 + (residual / (1.4826 * middle[:, None])) ** 2)
-        return np.asarray(np.median(residual, axis=1) / np.median(b, axis=1))
+def _plain(quadric: Quadric, b_nt: Floats) -> tuple[Floats, float, Floats]:
+    """Return the residuals, shape (n,), nT, about least squares of all rows, their scale, nT, and the ten unknowns."""
+    rows = quadric.squares / (2.0 * b_nt / quadric.unit_nt)[:, None]
+    target = 0.5 * b_nt / quadric.unit_nt
+    unknowns = np.asarray(np.linalg.lstsq(rows, target, rcond=_RANK)[0], np.float64)
+    r = (rows @ unknowns - target) * quadric.unit_nt
+    return r, scale_of(r), unknowns
 
 
 def _is_sensor(unknowns: Floats) -> bool:
@@ -133,10 +130,10 @@ def _is_sensor(unknowns: Floats) -> bool:
 
 
 def _neighbours(residuals_nt: Floats, near: Mask) -> float:
-    """Return the correlation of residuals, shape (n,), with the next ones, of the rows ``near``; 0 of too few."""
+    """Return the correlation of residuals, shape (n,), with the next ones, of the rows ``near``; NaN of too few."""
     pairs = near[1:] & near[:-1]
     if np.count_nonzero(pairs) < _FEW_PAIRS:
-        return 0.0
+        return float("nan")
     r = residuals_nt - np.mean(residuals_nt[near])
     square = float(np.mean(r[near] ** 2))
     return float(np.mean(r[1:][pairs] * r[:-1][pairs])) / square if square > 0 else 0.0

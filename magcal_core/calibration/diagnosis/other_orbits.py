@@ -16,6 +16,7 @@ import numpy as np
 
 from magcal_core.arrays import Floats, Times
 from magcal_core.calibration.diagnosis.explanation import Explanation, Rows
+from magcal_core.calibration.estimators.many_references import median_residuals
 from magcal_core.errors import MagcalError
 from magcal_core.field import FieldModel
 from magcal_core.numerics.vectors import lengths
@@ -124,7 +125,7 @@ def other_planes(rows: Rows, track: Track, period_s: float, coarse: FieldModel) 
     flat_s, flat_deg = offsets_s.ravel(), nodes.ravel()
     scores = np.concatenate(
         [
-            rows.scores(track.field_nt(flat_s[i], _turn(flat_s[i], flat_deg[i]), coarse))
+            median_residuals(rows.quadric, track.field_nt(flat_s[i], _turn(flat_s[i], flat_deg[i]), coarse))
             for i in np.array_split(np.arange(flat_s.size), max(1, flat_s.size // _AT_ONCE))
         ]
     )
@@ -149,7 +150,7 @@ def _refined_plane(rows: Rows, track: Track, offset_s: float, node_deg: float) -
     ways = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)], dtype=np.float64)
     while step_s > 0.5:
         tried_s, tried_deg = offset_s + step_s * ways[:, 0], node_deg + step_deg * ways[:, 1]
-        best = int(np.argmin(rows.scores(track.field_nt(tried_s, _turn(tried_s, tried_deg)))))
+        best = int(np.argmin(median_residuals(rows.quadric, track.field_nt(tried_s, _turn(tried_s, tried_deg)))))
         if best == len(ways) // 2:
             step_s, step_deg = step_s / 2.0, step_deg / 2.0
         offset_s, node_deg = float(tried_s[best]), float(tried_deg[best])
@@ -173,7 +174,7 @@ def other_objects(
 
 def _scored(rows: Rows, offsets_s: Floats, field_nt: Callable[[Floats], Floats]) -> Floats:
     parts = np.array_split(offsets_s, max(1, len(offsets_s) // _AT_ONCE))
-    return np.concatenate([rows.scores(field_nt(part)) for part in parts])
+    return np.concatenate([median_residuals(rows.quadric, field_nt(part)) for part in parts])
 
 
 def _minima(offsets_s: Floats, scores: Floats, most: int = _MINIMA) -> list[float]:
@@ -198,6 +199,6 @@ def _refined(rows: Rows, field_nt: Callable[[Floats], Floats], offset_s: float, 
     """Return the best offset near ``offset_s``, by ever narrower combs."""
     while step_s > last_s / 2.0:
         comb = offset_s + step_s * np.linspace(-1.0, 1.0, 9)
-        offset_s = float(comb[int(np.argmin(rows.scores(field_nt(comb))))])
+        offset_s = float(comb[int(np.argmin(median_residuals(rows.quadric, field_nt(comb))))])
         step_s /= 4.0
     return offset_s

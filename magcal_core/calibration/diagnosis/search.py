@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.calibration.diagnosis.cause import Diagnosis, Finding, Named, Tried
-from magcal_core.calibration.diagnosis.explanation import BETTER, EXPLAINED, Explanation, Rows
+from magcal_core.calibration.diagnosis.explanation import BETTER, EXPLAINED, MOST, Explanation, Rows
 from magcal_core.calibration.diagnosis.other_orbits import (
     FARTHEST_ZONE_S,
     OrbitCandidate,
@@ -27,6 +27,7 @@ from magcal_core.calibration.diagnosis.rows_and_axes import (
     constant_sensor,
     wrong_unit,
 )
+from magcal_core.calibration.estimators.loss import CLEAN_SHARE
 from magcal_core.calibration.estimators.robust_start import rows_looked_at
 from magcal_core.errors import MagcalError, OptionError
 from magcal_core.field import FieldModel
@@ -86,20 +87,26 @@ def _behind(given: Circumstances, rows: Rows, own: Explanation, t_utc: NDArray[n
     figures = (own.scale if np.isfinite(own.scale) else None, own.inlier_share)
     # Of a wrong reference the best half of the rows may show a sensor as well: many far rows are worth a look too.
     is_suspect = bad is not None and 1.0 - own.inlier_share > BAD_SHARE
-    if own.scale < WORTH_A_LOOK and not is_suspect:
+    is_settled = bad is not None and own.is_settled
+    if is_settled or (own.scale < WORTH_A_LOOK and not is_suspect):
         return Diagnosis(*figures, () if bad is None else (bad,))
     candidates = _candidates(given, rows, t_utc)
     tried = tuple(Tried(one.kind, _text(one), one.explanation.scale) for one in _best_of_each(candidates))
     explaining = [one for one in candidates if one.explanation.explains(own)]
     if explaining:
         return Diagnosis(*figures, (_finding(explaining, own),), tried)
-    is_half = bad is not None and own.is_coloured and own.inlier_share < _MOST_ROWS_GOOD
+    is_half = bad is not None and own.is_coloured and _is_part(own)
     if bad is not None and not is_half:
         return Diagnosis(*figures, (bad,), tried)
     if own.scale <= EXPLAINED and not is_half:
         return Diagnosis(*figures, (), tried)
     found = Finding("unexplained", _unexplained(own, is_half=is_half), figures[0], "share of the field", None)
     return Diagnosis(*figures, (found,), tried)
+
+
+def _is_part(own: Explanation) -> bool:
+    """Return whether a sensor explains so few rows, or explains them so badly, that the others need not be bad."""
+    return own.inlier_share < (_MOST_ROWS_GOOD if own.scale < CLEAN_SHARE else MOST)
 
 
 def _unexplained(own: Explanation, *, is_half: bool) -> str:

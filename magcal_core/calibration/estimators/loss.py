@@ -143,9 +143,14 @@ def _is_within(residuals_nt: Floats, b_nt: Floats, share: float) -> bool:
         # With few rows the parameters take their part of the residuals.
         scale_nt = scale_of(some) * len(some) / max(len(some) - _UNKNOWNS, 1)
         scale_nt = max(scale_nt, _FLOOR * field_nt)
-        if not (scale_nt < share * field_nt and max(column.max(), -column.min()) <= CLEAN_REACH * scale_nt):
+        if not is_clean_within(column, scale_nt, field_nt, share):
             return False
     return True
+
+
+def is_clean_within(residuals_nt: Floats, scale_nt: float, field_nt: float, share: float = CLEAN_SHARE) -> bool:
+    """Return whether residuals, shape (n,), nT, lie within the reach of their scale, and that below ``share``."""
+    return scale_nt < share * field_nt and max(residuals_nt.max(), -residuals_nt.min()) <= CLEAN_REACH * scale_nt
 
 
 def counted_weights(fit: Fit, robust: str) -> Floats:

@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats, Times
+from magcal_core.calibration.estimators.many_references import median_residuals
+from magcal_core.calibration.estimators.robust_start import FEW_SUBSETS, Quadric
 from magcal_core.errors import MagcalError
 from magcal_core.observations import Observations
 
@@ -73,10 +75,20 @@ def quadric_share(observations: Observations) -> float:
     return float(left / (2.0 * np.mean(squares)))
 
 
-def coarse_clock(observations: Observations, t_utc: Times, magnitude: Magnitude) -> CoarseClock | None:
+def coarse_clock(
+    observations: Observations, t_utc: Times, magnitude: Magnitude, *, is_clean: bool = True
+) -> CoarseClock | None:
     """Return the best offset within 12 h; None where the orbit does not reach so far or nothing can be told.
 
-    ``t_utc``: times of the observations, shape (n,).
+    Parameters
+    ----------
+    observations : Observations
+    t_utc : shape (n,)
+        Their times.
+    magnitude : callable
+    is_clean : bool
+        Whether no row is bad. Bad rows are what a quadric leaves most of, at any offset: beside them offsets are held
+        against each other by the median residual, and the minima by the scale that least trimmed squares leave.
     """
     quadric = _Quadric.of(observations)
     if len(quadric.rows) <= quadric.q.shape[1] + 1:
@@ -91,16 +103,23 @@ def coarse_clock(observations: Observations, t_utc: Times, magnitude: Magnitude)
 
     def left(offsets: Floats) -> Floats:
         parts = np.array_split(offsets, -(-len(offsets) // _AT_ONCE))
-        return np.concatenate([quadric.left(squares(at_s + part[:, None])) for part in parts])
+        return np.concatenate([some_left(squares(at_s + part[:, None])) for part in parts])
 
-    plain = float(left(np.zeros(1))[0])
+    def some_left(some: Floats) -> Floats:
+        return quadric.left(some) if robust is None else median_residuals(robust, np.sqrt(some))
+
+    def scored(offset_s: float, size: float) -> float:
+        return size if robust is None else robust.scale_nt(np.sqrt(squares(at_s + offset_s)))
+
+    robust = None if is_clean else Quadric.of(np.ascontiguousarray(observations.h_nt[quadric.rows]), FEW_SUBSETS)
+    plain = scored(0.0, float(left(np.zeros(1))[0]))
     offsets = np.arange(-LARGEST_S, LARGEST_S + STEP_S / 2.0, STEP_S)
     minima = []
     for near in _minima(offsets, left(offsets)):
         fine = near + np.arange(-REACH_S, REACH_S + FINE_S / 2.0, FINE_S)
         sizes = left(fine)
         least = int(np.argmin(sizes))
-        minima.append((float(sizes[least]), float(fine[least])))
+        minima.append((scored(float(fine[least]), float(sizes[least])), float(fine[least])))
     if not minima:
         return None
     minima.sort()

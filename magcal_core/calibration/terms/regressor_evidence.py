@@ -3,9 +3,10 @@
 Notes
 -----
 Blocks of one session share its drift: whatever is smooth explains some of it. So a column is held against two families
-of smooth terms of every size: those of orbit and heat, and cosines of 1, 2, .. half waves a session, down to 1800 s,
-with a size that falls as 1 / k. Beside each pair of sizes the three coefficients of the column have sizes of 0.3, 1 and
-3 standard deviations of the residual, and
+of smooth terms of every size: those of orbit and heat, and cosines of 1, 2, .. half waves a session, down to 600 s,
+with a size that falls as 1 / k: what remembers for minutes is none of the noise that the likelihood takes it for.
+Beside each pair of sizes the three coefficients of the column have sizes of 0.3, 1 and 3 standard deviations of the
+residual, and
 
     log BF = log mean over all sizes of p(with it) - log mean of p(without),
 
@@ -40,8 +41,8 @@ ABOVE_SURROGATES: Final = 3.0
 """By how much its log BF must be above that of every surrogate."""
 SURROGATES: Final = 39
 COLUMN_SIZES: Final = (0.3, 1.0, 3.0)
-SHORTEST_S: Final = 1800.0
-MOST_COSINES: Final = 40
+SHORTEST_S: Final = 600.0
+MOST_COSINES: Final = 120
 MOST_ROWS: Final = 4000
 """Samples, evenly spaced, that evidence is taken from."""
 

@@ -34,6 +34,10 @@ _TRIED: Final = 3
 """Candidates that are held against their surrogates and refitted before the selection ends."""
 _SAME: Final = 0.999
 """Correlation of two columns above which they say the same."""
+_ALIKE: Final = 0.95
+"""Correlation above which either of two columns serves: two sensors of one temperature."""
+ABOVE_RIVALS: Final = 1.0
+"""By how much the log evidence of a column must be above that of another which is none beside it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,19 +118,22 @@ def choose_regressors(
 
     ``smooth``: what a column must bear evidence beside. Starts from none and adds the one with the most evidence while
     that is enough, more than any of its surrogates', and unseen blocks support it: the held-out residual falls by
-    `GAIN`, and in most of the blocks. Without any such term, or where the blocks alone do not determine the parameters,
-    the choice is none.
+    `GAIN`, and in most of the blocks. Where another column explains the same nearly as well, one session does not tell
+    which of them it is, and neither is taken. Without any such term, or where the blocks alone do not determine the
+    parameters, the choice is none.
     """
     row, fit, held_out = _trial(estimator, observations, settings, ())
     rows = [row]
     while held_out is not None and len(row.regressors) < MAX_TERMS:
         present = observations.with_regressors(row.regressors)
-        for name, evidence in _ranked(smooth, observations, present, fit):
+        weighed = _weighed(smooth, observations, present, fit)
+        for name, evidence in _ranked(smooth, observations, present, fit, weighed):
             more = (*row.regressors, name)
             tried, tried_fit, tried_held_out = _trial(estimator, observations, replace(settings, near=fit), more)
             is_better = tried_held_out is not None and _is_better(observations, fit, held_out, tried_held_out)
             rows.append(replace(tried, evidence=evidence, gains=is_better))
-            if evidence.is_enough and is_better:
+            rivals = _rivals(observations, name, weighed)
+            if evidence.is_enough and is_better and _are_real_beside(smooth, observations, more, tried_fit, rivals):
                 row, fit, held_out = rows[-1], tried_fit, tried_held_out
                 break
         else:
@@ -135,13 +142,10 @@ def choose_regressors(
     return Choice(row.regressors, tuple(rows))
 
 
-def _ranked(
-    smooth: SmoothBias, observations: Observations, present: Observations, fit: Fit
-) -> list[tuple[str, ColumnEvidence]]:
-    """Return the candidates with the most evidence, the best first: all with enough, or else the best alone.
+def _weighed(smooth: SmoothBias, observations: Observations, present: Observations, fit: Fit) -> Mapping[str, float]:
+    """Return the log evidence of every candidate, of each column at the lag with the most, the largest first.
 
-    Of one column only the lag with the most: a slow one is nearly the same at all of them, and would be all that is
-    tried.
+    A slow column is nearly the same at all lags, and they would be all that is tried.
     """
     chosen = tuple(present.regressors)
     candidates = {
@@ -153,11 +157,44 @@ def _ranked(
     of_each: dict[str, str] = {}
     for name in sorted(found, key=lambda one: -found[one]):
         of_each.setdefault(source_of(name), name)
-    ranked = list(of_each.values())
-    enough = [name for name in ranked if found[name] >= ENOUGH_EVIDENCE][:_TRIED]
+    return {name: found[name] for name in of_each.values()}
+
+
+def _ranked(
+    smooth: SmoothBias, observations: Observations, present: Observations, fit: Fit, weighed: Mapping[str, float]
+) -> list[tuple[str, ColumnEvidence]]:
+    """Return the candidates with the most evidence, the best first: all with enough, or else the best alone."""
+    ranked = list(weighed)
+    enough = [name for name in ranked if weighed[name] >= ENOUGH_EVIDENCE][:_TRIED]
     if not enough:
-        return [(name, ColumnEvidence(found[name])) for name in ranked[:1]]
-    return [(name, smooth.against_surrogates(present, fit, candidates[name], found[name])) for name in enough]
+        return [(name, ColumnEvidence(weighed[name])) for name in ranked[:1]]
+    columns = observations.regressors
+    return [(name, smooth.against_surrogates(present, fit, [columns[name]], weighed[name])) for name in enough]
+
+
+def _rivals(observations: Observations, name: str, weighed: Mapping[str, float]) -> list[str]:
+    """Return the columns with more evidence than ``name``, which were not taken, and those with about as much.
+
+    Of these not what is much like it: either serves.
+    """
+    columns, own = observations.regressors, weighed[name]
+    return [
+        one
+        for one, log in weighed.items()
+        if log > own
+        or (one != name and log > own - ABOVE_RIVALS and abs(np.corrcoef(columns[name], columns[one])[0, 1]) < _ALIKE)
+    ]
+
+
+def _are_real_beside(
+    smooth: SmoothBias, observations: Observations, more: tuple[str, ...], fit: Fit, rivals: Sequence[str]
+) -> bool:
+    """Return whether the rivals of the last of the terms ``more`` bear evidence beside it, of other things."""
+    if not rivals:
+        return True
+    candidates = {name: [observations.regressors[name]] for name in rivals}
+    found = smooth.weigh(observations.with_regressors(more), fit, candidates)
+    return all(found.get(name, 0.0) >= ENOUGH_EVIDENCE for name in rivals)
 
 
 def _trial(

@@ -47,8 +47,22 @@ def test_a_column_that_gains_and_is_not_taken_asks_for_another_session():
     assert rows and not any(row["selected"] for row in rows)
 
 
+def test_a_bias_that_remembers_for_minutes_is_no_evidence_of_a_switching_current():
+    """100 nT with a memory of 15 min: slower terms alone leave it to whatever column steps at the right time."""
+    names, got = taken(draw(400001, "memory", ""))
+    assert not names
+    assert all(row["log_evidence"] < 3.0 for row in got.extras["ablation"] if row["regressors"])
+
+
+def test_no_column_is_taken_in_place_of_another_that_explains_more():
+    """A wave beside a temperature that its surrogates refuse: another column of the orbit's period comes as near."""
+    names, got = taken(draw(410002, "wave", "temperature"))
+    assert set(names) <= {"temperature"}
+    assert names or any(one.startswith("term_needs_another_session") for one in got.warnings)
+
+
 def test_a_column_that_gains_nothing_asks_for_nothing():
-    names, got = taken(draw(10, "walk", ""))
+    names, got = taken(draw(10, "none", ""))
     assert not names
     assert not [one for one in got.warnings if one.startswith("term_needs_another_session")]
 
