@@ -15,6 +15,7 @@ from magcal_core.calibration.estimators.contract import Estimator, Fit, FitSetti
 from magcal_core.calibration.estimators.linear_rows import Moments
 from magcal_core.calibration.observability.information import ENOUGH
 from magcal_core.calibration.terms.coarse_clock import POOR, CoarseClock, coarse_clock, quadric_share
+from magcal_core.calibration.terms.heat_columns import light_along
 from magcal_core.calibration.terms.locked import Kind, LockedTerms, locked_terms
 from magcal_core.calibration.terms.locked_clock import RATE_STEP_S, ClockSearch, with_derivative
 from magcal_core.calibration.terms.locked_columns import (
@@ -63,6 +64,13 @@ class LockedSession:
     def around(self) -> Surroundings:
         """Place and sun at the usable samples."""
         return surroundings_of(self.samples, self.referenced.orbits, self.referenced.field)
+
+    def light(self, offset_s: float) -> Floats | None:
+        """Return 1 in the sun and 0 in the umbra, shape (n,), of the usable samples at a clock's offset, s."""
+        if offset_s == 0.0 or not self.referenced.has_orbit:
+            return self.around.light
+        t_utc = self.samples.t_utc + np.timedelta64(round(offset_s * 1e9), "ns")
+        return light_along(t_utc, self.referenced.orbits)
 
     def source(self, clock_error_s: float | None) -> ReferenceSource:
         """Return where the reference came from."""
