@@ -32,6 +32,8 @@ _FOLLOWED_S: Final = 5.0 * TIME_CONSTANTS_S[-1]
 """How long before a sample light still counts, s: of what is older less than 1 % is left."""
 LIGHT_AGE_DAYS: Final = 60.0
 """Age of an orbit up to which it tells light, days: a TLE is then minutes late, and so is its shadow."""
+STATE_AGE_DAYS: Final = 3.0
+"""The same of a state that is integrated, which takes its time."""
 _FOLLOW_STEP: Final = np.timedelta64(20, "s")
 _LONG_STEPS: Final = 2.0
 _LONG_S: Final = 60.0
@@ -89,7 +91,7 @@ def heat_columns(t_utc: Times, light: Floats, orbits: Sequence[Orbit]) -> Floats
 def places_itrf_km(t_utc: Times, orbits: Sequence[Orbit]) -> Floats | None:
     """Return the position at ``t_utc``, shape (n, 3), ITRF, km, NaN where no orbit is near; None where none is at all.
 
-    For light alone: it may be `LIGHT_AGE_DAYS` from the orbit's epoch.
+    For light alone: a time may be `LIGHT_AGE_DAYS` from the epoch of elements, `STATE_AGE_DAYS` from that of a state.
     """
     if not orbits or not len(t_utc):
         return None
@@ -97,8 +99,10 @@ def places_itrf_km(t_utc: Times, orbits: Sequence[Orbit]) -> Floats | None:
     with suppress(OrbitMissingError, PropagationError):
         choice = choose_orbits(orbits, t_utc)
         for i, rows in choice.by_orbit():
-            near = rows[choice.age_days[rows] <= LIGHT_AGE_DAYS]
-            r_km[near] = orbits[i].position_itrf_km(t_utc[near])
+            limit = LIGHT_AGE_DAYS if orbits[i].model == "sgp4" else STATE_AGE_DAYS
+            near = rows[choice.age_days[rows] <= limit]
+            if len(near):
+                r_km[near] = orbits[i].position_itrf_km(t_utc[near])
     return r_km
 
 
