@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.faults.stem import Stems
+
 ROOT = Path(__file__).resolve().parent.parent
 
 
@@ -35,6 +37,14 @@ def bro4_dir() -> Path:
     if not (folder / "external.csv").exists():
         pytest.skip(f"BRO-4 telemetry is not at {folder}: it carries no licence, so it is not part of this project")
     return folder
+
+
+@pytest.fixture(scope="session")
+def stems() -> Iterator[Stems]:
+    """Processes that have imported magcal, from which others are forked that run its commands."""
+    stems = Stems()
+    yield stems
+    stems.close()
 
 
 @pytest.fixture(scope="session")

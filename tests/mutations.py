@@ -100,7 +100,7 @@ FAULTS: Final[dict[str, Fault]] = {
     ),
     "losing-axis": Fault(
         "magcal_core/numerics/robust.py", "prior * (weight - slope), 3).max()", "prior * (weight - slope), 3).min()",
-        (f"{CORE_TESTS}/estimators/test_vector.py",),
+        ("tests/magcal_core/numerics/test_robust.py",),
     ),
     # ------------------------------------------------------------------------------------------------- the frames
     "earth-turns-back": Fault(

@@ -11,9 +11,11 @@ import click
 @click.option("--workers", type=click.IntRange(0, 64), help="Job workers of this process (embedded queue only).")
 def command(host: str | None, port: int | None, workers: int | None) -> None:
     """Serve the API and the dashboard; on SQLite, work on the jobs too."""
-    from app.server import serve
     from app.settings import load_settings
 
     given = {"host": host, "port": port, "workers": workers}
     settings = load_settings().model_copy(update={name: value for name, value in given.items() if value is not None})
+
+    from app.server import serve  # which takes seconds: a wrong setting is told before
+
     serve(settings)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
 from typing import Annotated, Final
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
+from sqlalchemy.orm import Session
 from starlette.concurrency import run_in_threadpool
 
 from app.access.authentication import Operator, Reader, is_still_valid
@@ -19,16 +21,44 @@ from app.http.tables import TABLES, table_response, wanted_format, write_table
 from app.jobs.dependencies import Jobs
 from app.jobs.kinds.registry import JobRequest
 from app.jobs.kinds.result_series import read_series
+from app.jobs.queue import Queue
 from app.jobs.repository import JobRepository
 from app.jobs.reprocessing import submit_reprocessing
 from app.jobs.schemas import JobPage, JobQuery, JobRead, ReprocessingBody
+from app.jobs.tables import Job
 from app.jobs.transitions import ENDED
 from app.parameter_sets.schemas import TableQuery
 from app.records.arrow import from_bytes
+from app.storage.database import Database
 
 router = APIRouter(route_class=StrictJsonRoute, tags=["jobs"])
 
 LOOK_EVERY_S: Final = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class Asking:
+    """Who asks for a job, under which Idempotency-Key, and what it takes to answer."""
+
+    caller: Caller
+    db: Database
+    queue: Queue
+    response: Response
+    key: str | None
+
+
+def _queued_once(asked: str, submit: Callable[[Session], Job], by: Asking) -> JobRead:
+    """Return the job that ``submit`` queues, or the one that it queued for the same key and ``asked`` before."""
+    with by.db.write() as session:
+        jobs = JobRepository(session, by.caller)
+        made = recall(session, by.caller, by.key, asked)
+        row = submit(session) if made is None else jobs.get(made)
+        if by.key is not None and made is None:
+            remember(session, by.caller, by.key, asked, row.id)
+        job = jobs.read([row])[0]
+    by.queue.announce()
+    by.response.headers["Location"] = f"/api/v1/jobs/{job.id}"
+    return job
 
 
 @router.post("/jobs", status_code=202)
@@ -43,16 +73,11 @@ def create_job(
 ) -> JobRead:
     """Queue a piece of work; with an Idempotency-Key, the same request again is the same job."""
     asked = fingerprint("POST jobs", body.model_dump_json())
-    with db.write() as session:
-        jobs = JobRepository(session, caller)
-        made = recall(session, caller, key, asked)
-        row = jobs.submit(body, queue, config.max_queued_jobs) if made is None else jobs.get(made)
-        if key is not None and made is None:
-            remember(session, caller, key, asked, row.id)
-        job = jobs.read([row])[0]
-    queue.announce()
-    response.headers["Location"] = f"/api/v1/jobs/{job.id}"
-    return job
+
+    def submit(session: Session) -> Job:
+        return JobRepository(session, caller).submit(body, queue, config.max_queued_jobs)
+
+    return _queued_once(asked, submit, Asking(caller, db, queue, response, key))
 
 
 @router.post("/reprocessings", status_code=202)
@@ -67,18 +92,11 @@ def create_reprocessing(
 ) -> JobRead:
     """Queue the calibration of a whole history; the answer is the job that sums it up."""
     asked = fingerprint("POST reprocessings", body.model_dump_json())
-    with db.write() as session:
-        jobs = JobRepository(session, caller)
-        made = recall(session, caller, key, asked)
-        row = jobs.get(made) if made is not None else None
-        if row is None:
-            row = submit_reprocessing(session, caller, body, queue, config.max_queued_jobs)
-        if key is not None and made is None:
-            remember(session, caller, key, asked, row.id)
-        job = jobs.read([row])[0]
-    queue.announce()
-    response.headers["Location"] = f"/api/v1/jobs/{job.id}"
-    return job
+
+    def submit(session: Session) -> Job:
+        return submit_reprocessing(session, caller, body, queue, config.max_queued_jobs)
+
+    return _queued_once(asked, submit, Asking(caller, db, queue, response, key))
 
 
 @router.get("/jobs")
@@ -143,16 +161,11 @@ def retry_job(
 ) -> JobRead:
     """Queue anew what a job that has ended was asked for; a reprocessing with all its calibrations."""
     asked = fingerprint("POST jobs retry", job_id)
-    with db.write() as session:
-        jobs = JobRepository(session, caller)
-        made = recall(session, caller, key, asked)
-        row = jobs.retry(job_id, queue, config.max_queued_jobs) if made is None else jobs.get(made)
-        if key is not None and made is None:
-            remember(session, caller, key, asked, row.id)
-        job = jobs.read([row])[0]
-    queue.announce()
-    response.headers["Location"] = f"/api/v1/jobs/{job.id}"
-    return job
+
+    def submit(session: Session) -> Job:
+        return JobRepository(session, caller).retry(job_id, queue, config.max_queued_jobs)
+
+    return _queued_once(asked, submit, Asking(caller, db, queue, response, key))
 
 
 @router.post("/jobs/{job_id}/cancel", status_code=202)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -14,34 +15,33 @@ from magcal_core.telemetry import write_samples
 sys.path.insert(0, str(Path(__file__).parent))  # the processes of a site import what is planted in them from here
 
 from faultsite import SEED, TRIALS, Site
-from stem import Stem
+
+from tests.faults.stem import Stems
 
 
 def pytest_report_header() -> str:
     return f"faults: {TRIALS} trials of each kill, seed {SEED}"
 
 
-@pytest.fixture(params=["sqlite", pytest.param("postgres", marks=pytest.mark.postgres)])
-def site(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Site]:
-    """An empty site on each of the databases."""
-    url = None if request.param == "sqlite" else request.getfixturevalue("postgres_url")
-    site = Site(tmp_path, url)
-    yield site
-    site.stop()
-
-
-@pytest.fixture(scope="session")
-def stem() -> Iterator[Stem]:
-    stem = Stem()
-    yield stem
-    stem.close()
-
-
 @pytest.fixture
-def quick_site(site: Site, stem: Stem) -> Site:
-    """An empty site whose processes are forked from one that has imported magcal."""
-    site.stem = stem
-    return site
+def new_site(tmp_path: Path, stems: Stems) -> Iterator[Callable[..., Site]]:
+    """Make the test's site: empty, on SQLite unless it is given the URL of a database."""
+    with ExitStack() as stack:
+
+        def make(url: str | None = None) -> Site:
+            site = Site(tmp_path, url, stems)
+            stack.callback(site.stop)
+            return site
+
+        yield make
+
+
+@pytest.fixture(params=["sqlite", pytest.param("postgres", marks=pytest.mark.postgres)])
+def site(request: pytest.FixtureRequest) -> Site:
+    """An empty site on each of the databases, which is there until the site's processes have ended."""
+    url = None if request.param == "sqlite" else request.getfixturevalue("postgres_url")
+    new_site: Callable[..., Site] = request.getfixturevalue("new_site")
+    return new_site(url)
 
 
 @pytest.fixture(scope="session")

@@ -11,9 +11,9 @@ import time
 from pathlib import Path
 
 import httpx2
-from stem import LAUNCH, Forked, Stem
 
 from magcal_core.simulation.dekart_mission import tle_text
+from tests.faults.stem import LAUNCH, Forked, Stems
 
 TRIALS = int(os.environ.get("MAGCAL_FAULT_TRIALS", "1"))
 SEED = int(os.environ.get("MAGCAL_FAULT_SEED", "1"))
@@ -27,15 +27,16 @@ Process = subprocess.Popen[bytes] | Forked
 class Site:
     """One database and the processes over it."""
 
-    def __init__(self, folder: Path, database_url: str | None) -> None:
+    def __init__(self, folder: Path, database_url: str | None, stems: Stems) -> None:
         self.folder = folder
+        self._stems = stems
         self.environment = {
             "MAGCAL_DATA_DIR": str(folder / "data"),
             "MAGCAL_MIN_FREE_MB": "0",
             **({"MAGCAL_DATABASE_URL": database_url} if database_url else {}),
         }
         self.prefix: list[str] = []
-        self.stem: Stem | None = None
+        """What a process is started with in front, which takes seconds; without, it is forked."""
         self.processes: list[Process] = []
         self.admin_key = ""
 
@@ -46,17 +47,18 @@ class Site:
     def start(self, *command: str, **environment: str) -> Process:
         """Start a magcal process; its log goes to a file of the site."""
         number = len(self.processes)
-        if self.stem is not None:
+        whole = os.environ | self.environment | environment
+        if not self.prefix:
             files = self.folder / f"{number}.log", self.folder / f"{number}.out"
             for file in files:
                 file.touch()
-            forked = self.stem.fork(command, os.environ | self.environment | environment, *files)
+            forked = self._stems.of(whole).fork(command, whole, *files)
             self.processes.append(forked)
             return forked
         with (self.folder / f"{number}.log").open("wb") as log, (self.folder / f"{number}.out").open("wb") as out:
             process = subprocess.Popen(
                 [*self.prefix, sys.executable, str(LAUNCH), *command],
-                env=os.environ | self.environment | environment,
+                env=whole,
                 stdout=out,
                 stderr=log,
             )
@@ -98,11 +100,9 @@ class Site:
             time.sleep(0.05)
         return process
 
-    def magcal(self, *command: str) -> subprocess.CompletedProcess[str]:
-        """Return how a command of the site's operator ended."""
-        words = [sys.executable, str(LAUNCH), *command]
-        environment = os.environ | self.environment
-        return subprocess.run(words, env=environment, capture_output=True, check=False, text=True)
+    def magcal(self, *command: str) -> int:
+        """Return the status with which a command of the site's operator ended."""
+        return self.start(*command).wait()
 
     def client(self, url: str) -> httpx2.Client:
         headers = {"Authorization": f"Bearer {self.admin_key}"}

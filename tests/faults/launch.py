@@ -4,17 +4,20 @@ FAULT_CALCULATION: one of `planted`, in place of a calibration. FAULT_POINT: whe
 FAULT_WHEN: a file; it kills itself only once this is there. FAULT_PAGES: pages that the SQLite database may grow to,
 for a disk that is full. FAULT_GRACE_S: how long a worker that is asked to stop leaves to the job in hand.
 
-With `--stem` it runs nothing itself, but forks a process for each line of its input that asks for one.
+With `--stem` it runs nothing itself, but forks a process for each line of its input that asks for one. All that it
+forks share one fork server for their calculations.
 """
 
 from __future__ import annotations
 
 import importlib
 import json
+import multiprocessing
 import os
 import signal
 import sys
 from collections.abc import Callable
+from multiprocessing import forkserver
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +26,8 @@ from sqlalchemy import Connection, Engine, event
 from app import worker
 from app.cli.main import run
 from app.jobs.execution import attempt
+from app.jobs.execution.child_supervisor import PRELOAD
 from app.jobs.kinds.calibration import CalibrationKind
-from app.jobs.kinds.registry import JOB_KINDS
 from app.uploads.ingest import Ingest
 
 PRELOADED = ("app.server", "alembic.command", "procrastinate", "psycopg", "pyarrow.pandas_compat")
@@ -55,13 +58,11 @@ def note_session(connection: Connection, _cursor: object, statement: str, *_rest
 
 
 def plant() -> None:
-    for kind in JOB_KINDS.values():
-        kind.warm = (
-            ""  # a child that is warm at once costs each of a test's many workers seconds, and no fault needs it
-        )
+    del sys.modules["__main__"].__file__  # else every child runs this file once more
     point = os.environ.get("FAULT_POINT")
     if calculation := os.environ.get("FAULT_CALCULATION"):
-        CalibrationKind.function = f"planted:{calculation}"
+        seconds = os.environ.get("PLANTED_S")
+        CalibrationKind.function = f"planted:{calculation}" + (f"_{seconds}" if seconds else "")
     if point == "after_commit":
         Ingest.tell = kill_after(Ingest.tell)  # type: ignore[method-assign]
     if point == "before_commit":
@@ -86,6 +87,7 @@ def fork(command: list[str], environment: dict[str, str], log: str, out: str) ->
         os.dup2(os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC), number)
     os.environ.clear()
     os.environ.update(environment)
+    forkserver._forkserver.ensure_running = lambda: None  # type: ignore[attr-defined]  # it is the stem's and runs
     plant()
     run(command)
     sys.exit(0)
@@ -93,6 +95,8 @@ def fork(command: list[str], environment: dict[str, str], log: str, out: str) ->
 
 def stem() -> None:
     """Answer each line that asks for a process with its pid, and each that asks how one has ended with its status."""
+    multiprocessing.get_context("forkserver").set_forkserver_preload(list(PRELOAD))
+    forkserver.ensure_running()
     for name in PRELOADED:
         importlib.import_module(name)
     for line in sys.stdin:

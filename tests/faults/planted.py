@@ -1,18 +1,30 @@
-"""Calculations that go wrong, planted in the child in place of a calibration."""
+"""Calculations that go wrong, planted in the child in place of a calibration.
+
+A name may end with how many seconds it takes: `slow_8`.
+"""
 
 from __future__ import annotations
 
 import os
 import signal
 import time
+from collections.abc import Callable
+from functools import partial
 
 from app.jobs.kinds.calibration_child import calibrate
 from app.jobs.kinds.contract import Outcome, Report
 
 
-def slow(work: object, report: Report) -> Outcome:
-    """A calibration that takes PLANTED_S seconds longer."""
-    until = time.monotonic() + float(os.environ.get("PLANTED_S", "2"))
+def __getattr__(name: str) -> Callable[[object, Report], Outcome]:
+    calculation, _, seconds = name.partition("_")
+    if calculation != "slow" or not seconds:
+        raise AttributeError(name)
+    return partial(slow, float(seconds))
+
+
+def slow(seconds: float, work: object, report: Report) -> Outcome:
+    """A calibration that takes so much longer."""
+    until = time.monotonic() + seconds
     while time.monotonic() < until:
         time.sleep(0.02)
         report(0.1)

@@ -1,12 +1,14 @@
-"""A process that has imported magcal already and forks servers: a thousand kills do not import it a thousand times."""
+"""Processes that have imported magcal already and fork servers: a thousand kills do not import it a thousand times."""
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,12 +16,46 @@ from pathlib import Path
 LAUNCH = Path(__file__).with_name("launch.py")
 
 
+LOADED = ("LD_PRELOAD", "FAKETIME_TIMESTAMP_FILE")
+"""What a process takes from its environment before it is forked."""
+
+
+class Stems:
+    """One stem for each library that processes are to be loaded with, and one without."""
+
+    def __init__(self) -> None:
+        self._stems: dict[tuple[str, ...], Stem] = {}
+        self._numbers = itertools.count()
+
+    def of(self, environment: Mapping[str, str]) -> Stem:
+        """Return the stem of processes with such an environment."""
+        key = tuple(environment.get(name, "") for name in LOADED)
+        if key not in self._stems:
+            self._stems[key] = Stem(environment)
+        return self._stems[key]
+
+    def run(self, *words: str, folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+        """Return how a magcal command ended and what it wrote, which passes through files of ``folder``."""
+        whole, number = os.environ | environment, next(self._numbers)
+        log, out = folder / f"stderr-{number}", folder / f"stdout-{number}"
+        status = self.of(whole).fork(words, whole, log, out).wait(120.0)
+        return subprocess.CompletedProcess(list(words), status, out.read_text(), log.read_text())
+
+    def close(self) -> None:
+        """Let them end."""
+        for one in self._stems.values():
+            one.close()
+
+
 class Stem:
     """The process that forks; it lives as long as its input is open."""
 
-    def __init__(self) -> None:
+    def __init__(self, environment: Mapping[str, str]) -> None:
         command = [sys.executable, str(LAUNCH), "--stem"]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=dict(environment)
+        )
+        self._asking = threading.Lock()
 
     def fork(self, command: Sequence[str], environment: Mapping[str, str], log: Path, out: Path) -> Forked:
         """Return a new process that runs a magcal command."""
@@ -32,9 +68,10 @@ class Stem:
         """Return the stem's answer."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        self._process.stdin.write(json.dumps(asked) + "\n")
-        self._process.stdin.flush()
-        answer: int | None = json.loads(self._process.stdout.readline())
+        with self._asking:
+            self._process.stdin.write(json.dumps(asked) + "\n")
+            self._process.stdin.flush()
+            answer: int | None = json.loads(self._process.stdout.readline())
         return answer
 
     def close(self) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -33,17 +33,23 @@ class Clock:
         self._file.write_text(f"{by}\n")
 
 
-@pytest.fixture
-def clock(tmp_path: Path) -> Clock:
-    return Clock(tmp_path / "clock")
+@pytest.fixture(scope="module")
+def clocks(tmp_path_factory: pytest.TempPathFactory) -> Clock:
+    return Clock(tmp_path_factory.mktemp("clock") / "clock")
 
 
 @pytest.fixture
-def site(clock: Clock, tmp_path: Path) -> Iterator[Site]:
-    site = Site(tmp_path, None)
+def clock(clocks: Clock) -> Clock:
+    """The one clock of these tests, which goes right."""
+    clocks.step("+0")
+    return clocks
+
+
+@pytest.fixture
+def site(clock: Clock, new_site: Callable[..., Site]) -> Site:
+    site = new_site()
     site.environment |= clock.environment
-    yield site
-    site.stop()
+    return site
 
 
 @pytest.mark.timeout(300)

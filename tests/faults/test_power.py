@@ -10,7 +10,7 @@ import os
 import re
 import shutil
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -136,33 +136,31 @@ def play(disk: Disk, name: str, text: str, path: str, root: Path) -> None:
 
 @pytest.mark.timeout(300 + 10 * (UPLOADS - 20))
 @pytest.mark.parametrize("store", ["database", "folder"])
-def test_what_is_acknowledged_is_on_the_disk_and_not_only_on_its_way(tmp_path: Path, telemetry: bytes, store: str):
+def test_what_is_acknowledged_is_on_the_disk_and_not_only_on_its_way(
+    new_site: Callable[..., Site], tmp_path: Path, telemetry: bytes, store: str
+):
     """Each upload is found after a power loss at the moment of its acknowledgement; none could be otherwise."""
     assert shutil.which("strace"), (
         "strace, which shows what was synced when, is not installed; `make system` installs it"
     )
-    site, root = Site(tmp_path, None), tmp_path / "data"
+    site, root = new_site(), tmp_path / "data"
     if store == "folder":
         site.environment["MAGCAL_STORE_URL"] = f"file://{root}/store"
     trace = tmp_path / "trace"
-    try:
-        server, url = site.serve(workers=0)
-        with site.client(url) as api:
-            prepare(api)
-        server.terminate()
-        assert server.wait(60) == 0
-        before = {str(path): path.read_bytes() for path in root.rglob("*") if path.is_file()}
-        site.prefix = ["strace", "-f", "-y", "-xx", "-s", "10000000", "-o", str(trace), "-e", f"trace={CALLS}"]
-        server, url = site.serve(workers=0)
-        lines = telemetry.splitlines(keepends=True)
-        with site.client(url) as api:
-            sent = [upload(api, b"".join(lines[: 30 + number])) for number in range(UPLOADS)]
-        assert [one.status_code for one in sent] == [201] * UPLOADS
-        os.kill(int(Path(f"/proc/{server.pid}/task/{server.pid}/children").read_text().split()[0]), signal.SIGKILL)
-        server.wait(60)
-    finally:
-        site.prefix = []
-        site.stop()
+    server, url = site.serve(workers=0)
+    with site.client(url) as api:
+        prepare(api)
+    server.terminate()
+    assert server.wait(60) == 0
+    before = {str(path): path.read_bytes() for path in root.rglob("*") if path.is_file()}
+    site.prefix = ["strace", "-f", "-y", "-xx", "-s", "10000000", "-o", str(trace), "-e", f"trace={CALLS}"]
+    server, url = site.serve(workers=0)
+    lines = telemetry.splitlines(keepends=True)
+    with site.client(url) as api:
+        sent = [upload(api, b"".join(lines[: 30 + number])) for number in range(UPLOADS)]
+    assert [one.status_code for one in sent] == [201] * UPLOADS
+    os.kill(int(Path(f"/proc/{server.pid}/task/{server.pid}/children").read_text().split()[0]), signal.SIGKILL)
+    server.wait(60)
     disk = Disk({path: bytearray(content) for path, content in before.items()}, dict(before))
     seen = []
     for session_id, image in images(trace, disk, root, tmp_path / "images"):

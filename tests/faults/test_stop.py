@@ -6,7 +6,7 @@ import hashlib
 import signal
 import sqlite3
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import httpx2
@@ -15,10 +15,8 @@ from faultsite import CSV, Site, prepare, submit, upload, wait_for
 
 
 @pytest.fixture
-def site(tmp_path) -> Iterator[Site]:
-    site = Site(tmp_path, None)
-    yield site
-    site.stop()
+def site(new_site: Callable[..., Site]) -> Site:
+    return new_site()
 
 
 def test_uploads_in_flight_are_kept_when_the_server_is_asked_to_stop(site: Site, telemetry: bytes):
@@ -72,7 +70,7 @@ def test_a_worker_killed_while_it_writes_its_result_leaves_no_half_of_it(site: S
         job = wait_for(api, job_id, "succeeded", "failed")
         assert (job["state"], job["attempts"]) == ("succeeded", 2)
         assert len(api.get("/parameter-sets").json()["items"]) == 1
-    assert site.magcal("db", "audit").returncode == 0
+    assert site.magcal("db", "audit") == 0
 
 
 def test_a_destroyed_sqlite_database_is_restored_from_its_backup(site: Site, telemetry: bytes):
@@ -92,7 +90,7 @@ def test_a_destroyed_sqlite_database_is_restored_from_its_backup(site: Site, tel
     for name in ("magcal.db", "magcal.db-wal", "magcal.db-shm"):
         (site.folder / "data" / name).unlink(missing_ok=True)
     database.write_bytes(backup.read_bytes())
-    assert site.magcal("db", "audit").returncode == 0
+    assert site.magcal("db", "audit") == 0
     _, url = site.serve(workers=0)
     with site.client(url) as api:
         assert api.get(f"/sessions/{kept['id']}").json()["sha256"] == hashlib.sha256(telemetry).hexdigest()

@@ -6,6 +6,7 @@ import hashlib
 import shutil
 import signal
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import httpx2
@@ -53,73 +54,69 @@ def disk(tmp_path: Path, failing_sync: Path) -> Disk:
 
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("store", ["database", "folder"])
-def test_nothing_is_acknowledged_after_a_failed_fsync(tmp_path: Path, disk: Disk, telemetry: bytes, store: str):
+def test_nothing_is_acknowledged_after_a_failed_fsync(
+    new_site: Callable[..., Site], tmp_path: Path, disk: Disk, telemetry: bytes, store: str
+):
     """F7: 503 from the failure on, also once the disk works again; unready; reads go on; a restart has every byte."""
-    site, data = Site(tmp_path, None), tmp_path / "data"
+    site, data = new_site(), tmp_path / "data"
     if store == "folder":
         site.environment["MAGCAL_STORE_URL"] = f"file://{data}/store"
-    try:
-        server, url = site.serve(workers=0, **disk.environment)
-        with site.client(url) as api:
-            prepare(api)
-            kept = [upload(api, piece(telemetry, number)) for number in range(3)]
-            assert [one.status_code for one in kept] == [201] * 3
-            assert httpx2.get(f"{url}/readyz", trust_env=False).status_code == 200
-            disk.break_below(data / "store" if store == "folder" else data / "magcal.db")
-            refused = [upload(api, piece(telemetry, 3 + number)) for number in range(5)]
-            disk.mend()
-            refused += [upload(api, piece(telemetry, 3 + number)) for number in range(5)]
-            for one in refused:
-                assert (one.status_code, one.json()["code"]) == (503, "unavailable")
-                assert int(one.headers["retry-after"]) > 0
-            ready = httpx2.get(f"{url}/readyz", trust_env=False)
-            part = "store" if store == "folder" else "database"
-            assert (ready.status_code, ready.json()[part]) == (503, "failing")
-            for one in kept:
-                found = api.get(f"/sessions/{one.json()['id']}/samples")
-                assert found.status_code == 200
-        failed = [path for outcome, path in disk.syncs() if outcome == "failed"]
-        assert len(failed) == 1  # what failed once was not tried again
-        after = disk.syncs()[disk.syncs().index(("failed", failed[0])) + 1 :]
-        assert failed[0] not in [path for _, path in after]
-        server.send_signal(signal.SIGKILL)
-        server.wait()
-        before = len(disk.syncs())
-        _, url = site.serve(workers=0, **disk.environment)
-        if store == "database":  # the write whose sync failed may have come back; then it must be durable by now
-            assert ("ok", f"{data}/magcal.db") in disk.syncs()[before:]
-        assert site.magcal("db", "audit").returncode == 0
-        with site.client(url) as api:
-            sessions = {one["sha256"] for one in api.get("/sessions").json()["items"]}
-            sent = [hashlib.sha256(piece(telemetry, number)).hexdigest() for number in range(4)]
-            assert set(sent[:3]) <= sessions <= set(sent)
-            assert upload(api, piece(telemetry, 3)).status_code == (200 if sent[3] in sessions else 201)
+    server, url = site.serve(workers=0, **disk.environment)
+    with site.client(url) as api:
+        prepare(api)
+        kept = [upload(api, piece(telemetry, number)) for number in range(3)]
+        assert [one.status_code for one in kept] == [201] * 3
         assert httpx2.get(f"{url}/readyz", trust_env=False).status_code == 200
-    finally:
-        site.stop()
+        disk.break_below(data / "store" if store == "folder" else data / "magcal.db")
+        refused = [upload(api, piece(telemetry, 3 + number)) for number in range(5)]
+        disk.mend()
+        refused += [upload(api, piece(telemetry, 3 + number)) for number in range(5)]
+        for one in refused:
+            assert (one.status_code, one.json()["code"]) == (503, "unavailable")
+            assert int(one.headers["retry-after"]) > 0
+        ready = httpx2.get(f"{url}/readyz", trust_env=False)
+        part = "store" if store == "folder" else "database"
+        assert (ready.status_code, ready.json()[part]) == (503, "failing")
+        for one in kept:
+            found = api.get(f"/sessions/{one.json()['id']}/samples")
+            assert found.status_code == 200
+    failed = [path for outcome, path in disk.syncs() if outcome == "failed"]
+    assert len(failed) == 1  # what failed once was not tried again
+    after = disk.syncs()[disk.syncs().index(("failed", failed[0])) + 1 :]
+    assert failed[0] not in [path for _, path in after]
+    server.send_signal(signal.SIGKILL)
+    server.wait()
+    before = len(disk.syncs())
+    _, url = site.serve(workers=0, **disk.environment)
+    if store == "database":  # the write whose sync failed may have come back; then it must be durable by now
+        assert ("ok", f"{data}/magcal.db") in disk.syncs()[before:]
+    assert site.magcal("db", "audit") == 0
+    with site.client(url) as api:
+        sessions = {one["sha256"] for one in api.get("/sessions").json()["items"]}
+        sent = [hashlib.sha256(piece(telemetry, number)).hexdigest() for number in range(4)]
+        assert set(sent[:3]) <= sessions <= set(sent)
+        assert upload(api, piece(telemetry, 3)).status_code == (200 if sent[3] in sessions else 201)
+    assert httpx2.get(f"{url}/readyz", trust_env=False).status_code == 200
 
 
 @pytest.mark.timeout(300)
 def test_a_worker_whose_fsync_failed_takes_no_job_until_it_is_started_anew(
-    tmp_path: Path, disk: Disk, telemetry: bytes
+    new_site: Callable[..., Site], tmp_path: Path, disk: Disk, telemetry: bytes
 ):
     """F7: its claim or its result is not durable, so it is none; another worker makes the one result."""
-    site = Site(tmp_path, None)
-    try:
-        _, url = site.serve(workers=0)
-        broken = site.worker(MAGCAL_JOB_LEASE_S="2", MAGCAL_JOB_HEARTBEAT_S="0.5", **disk.environment)
-        with site.client(url) as api:
-            prepare(api)
-            session_id = upload(api, telemetry).json()["id"]
-            disk.break_below(tmp_path / "data" / "magcal.db")
-            job_id = submit(api, session_id)
-            while not any(one.get("event") == "claim_failed" for one in site.log(broken)):
-                assert broken.poll() is None
-            disk.mend()
-            site.worker()
-            job = wait_for(api, job_id, "succeeded", "failed")
-            assert job["state"] == "succeeded"
-            assert f":{broken.pid}:" not in str(job["worker"])
-            assert len(api.get("/parameter-sets").json()["items"]) == 1
-    finally:
-        site.stop()
+    site = new_site()
+    _, url = site.serve(workers=0)
+    broken = site.worker(MAGCAL_JOB_LEASE_S="2", MAGCAL_JOB_HEARTBEAT_S="0.5", **disk.environment)
+    with site.client(url) as api:
+        prepare(api)
+        session_id = upload(api, telemetry).json()["id"]
+        disk.break_below(tmp_path / "data" / "magcal.db")
+        job_id = submit(api, session_id)
+        while not any(one.get("event") == "claim_failed" for one in site.log(broken)):
+            assert broken.poll() is None
+        disk.mend()
+        site.worker()
+        job = wait_for(api, job_id, "succeeded", "failed")
+        assert job["state"] == "succeeded"
+        assert f":{broken.pid}:" not in str(job["worker"])
+        assert len(api.get("/parameter-sets").json()["items"]) == 1

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -29,6 +27,7 @@ from app.storage.database import Database, utc_now
 from app.storage.migration import upgrade
 from app.storage.open_store import open_store
 from app.uploads.ingest import Ingest
+from tests.faults.stem import Stems
 
 BEGIN = datetime(2026, 11, 1, tzinfo=UTC)
 MAP = {"bx": "/MAG/x", "by": "/MAG/y", "bz": "/MAG/z"}
@@ -54,6 +53,34 @@ def database(settings: Settings) -> Iterator[Database]:
         session.add(Magnetometer(satellite_id="sat", id="mgm", unit="nT", created_at=utc_now()))
     yield opened
     opened.close()
+
+
+class Pulls:
+    """One `magcal pull` after the other, each of which may be killed."""
+
+    def __init__(self, stems: Stems, folder: Path) -> None:
+        self._environment = os.environ | {"MAGCAL_DATA_DIR": str(folder), "MAGCAL_MAX_BAD_SAMPLES": "1"}
+        self._stem, self._folder = stems.of(self._environment), folder
+
+    def kill(self) -> None:
+        self._process.kill()
+
+    def statuses(self, url: str, most: int) -> list[int]:
+        """Return how each pull from the archive at ``url`` ended, up to the first that was not killed."""
+        words = [
+            "pull", "yamcs", "--base-url", url, "--satellite", "sat", "--magnetometer", "mgm", "--instance", "sim",
+            "--columns", json.dumps(MAP), "--since", BEGIN.isoformat(), "--once",
+        ]  # fmt: skip
+        found = []
+        while len(found) < most and (not found or found[-1] == -9):
+            self._process = self._stem.fork(words, self._environment, self._folder / "stderr", self._folder / "stdout")
+            found.append(self._process.wait(120.0))
+        return found
+
+
+@pytest.fixture
+def pulls(stems: Stems, tmp_path: Path) -> Pulls:
+    return Pulls(stems, tmp_path)
 
 
 def pull_of(database: Database, settings: Settings, kind: str, wanted: Wanted, archive: object = None) -> Pull:
@@ -97,7 +124,7 @@ def yamcs(rows: int, step_s: float):
 
 
 def test_ten_thousand_rows_over_five_pages_killed_at_each_page_are_all_there_and_none_twice(
-    database, settings, serve, tmp_path
+    database, settings, serve, pulls
 ):
     """Spans of 6 h with 2,000 rows each at the real command line, killed while each is answered, then once more."""
     step_s = 6 * 3600 / 2000
@@ -108,25 +135,10 @@ def test_ten_thousand_rows_over_five_pages_killed_at_each_page_are_all_there_and
         if asked.query["start"] not in asked_spans:
             asked_spans.append(asked.query["start"])
             if len(asked_spans) <= 6 and len(whole(asked)[2]) > 100:
-                os.kill(process.pid, 9)
+                pulls.kill()
         return whole(asked)
 
-    fake = serve(answer)
-    environment = os.environ | {"MAGCAL_DATA_DIR": str(tmp_path), "MAGCAL_MAX_BAD_SAMPLES": "1"}
-    command = [
-        Path(sys.executable).with_name("magcal"), "pull", "yamcs", "--base-url", fake.url, "--satellite", "sat",
-        "--magnetometer", "mgm", "--instance", "sim", "--columns", json.dumps(MAP), "--since", BEGIN.isoformat(),
-        "--once",
-    ]  # fmt: skip
-    killed = 0
-    for _ in range(12):
-        process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-        _, errors = process.communicate()
-        if process.returncode == 0:
-            break
-        assert process.returncode == -9, errors
-        killed += 1
-    assert killed == 5
+    assert pulls.statuses(serve(answer).url, 9) == [-9, -9, -9, -9, -9, 0]
     assert sorted(numbers(database, settings)) == list(range(10_000))
 
 
@@ -159,7 +171,7 @@ def history(rows: int, step_s: float, page: int):
 
 @pytest.mark.slow
 def test_a_history_of_ten_thousand_rows_over_five_pages_is_all_there_after_a_kill_at_each(
-    database, settings, serve, tmp_path
+    database, settings, serve, pulls
 ):
     """A server that has no export: each process dies as it asks for another page of the last parameter's."""
     whole = history(10_000, 1.0, 2_000)
@@ -169,25 +181,10 @@ def test_a_history_of_ten_thousand_rows_over_five_pages_is_all_there_after_a_kil
         place = asked.query.get("next", asked.query.get("start", ""))
         if asked.path.endswith("/z") and place not in places and len(places) < 5:
             places.add(place)
-            os.kill(process.pid, 9)
+            pulls.kill()
         return whole(asked)
 
-    fake = serve(answer)
-    environment = os.environ | {"MAGCAL_DATA_DIR": str(tmp_path), "MAGCAL_MAX_BAD_SAMPLES": "1"}
-    command = [
-        Path(sys.executable).with_name("magcal"), "pull", "yamcs", "--base-url", fake.url, "--satellite", "sat",
-        "--magnetometer", "mgm", "--instance", "sim", "--columns", json.dumps(MAP), "--since", BEGIN.isoformat(),
-        "--once",
-    ]  # fmt: skip
-    killed = 0
-    for _ in range(9):
-        process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-        _, errors = process.communicate()
-        if process.returncode == 0:
-            break
-        assert process.returncode == -9, errors
-        killed += 1
-    assert killed == 5
+    assert pulls.statuses(serve(answer).url, 9) == [-9, -9, -9, -9, -9, 0]
     assert sorted(numbers(database, settings)) == list(range(10_000))
 
 

@@ -7,7 +7,6 @@ import os
 import shutil
 import socket
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -18,18 +17,24 @@ from app.server import prepare
 from app.settings import Settings
 from app.storage.identity import MEMORY, WrongStoreError
 from app.storage.object_store import FileStore
+from tests.faults.stem import Stems
 
 CSV = {"content-type": "text/csv"}
 PASS = "time,bx,by,bz,ref_b\n2026-01-01T00:00:00Z,20000,1,2,20000\n"
-RUN = [sys.executable, "-c", "from app.cli.main import run; run()"]
 
 
-def magcal(*words: str, **settings: str) -> subprocess.CompletedProcess[str]:
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("MAGCAL_")}
-    named = {f"MAGCAL_{name.upper()}": value for name, value in settings.items()}
-    return subprocess.run(
-        [*RUN, *words], env=environment | named, capture_output=True, text=True, check=False, timeout=120
-    )
+@pytest.fixture
+def magcal(stems: Stems, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """What runs a command of magcal in a process of its own, with ``settings`` and no others of magcal's."""
+    folder = tmp_path_factory.mktemp("commands")
+
+    def run(*words: str, **settings: str) -> subprocess.CompletedProcess[str]:
+        with pytest.MonkeyPatch.context() as patch:
+            for name in [name for name in os.environ if name.startswith("MAGCAL_")]:
+                patch.delenv(name)
+            return stems.run(*words, folder=folder, **{f"MAGCAL_{name.upper()}": one for name, one in settings.items()})
+
+    return run
 
 
 def one_line(done: subprocess.CompletedProcess[str]) -> str:
@@ -154,7 +159,7 @@ def test_a_database_file_that_is_not_the_one_that_was_opened_takes_nothing(new_s
     assert readiness(service)[1]["database"] == "failing"
 
 
-def test_a_database_file_that_is_gone_is_not_made_anew(new_service, tmp_path):
+def test_a_database_file_that_is_gone_is_not_made_anew(new_service, tmp_path, magcal):
     service = new_service()
     filled(service).close()
     shutil.copytree(service.settings.data_dir, tmp_path / "left")
@@ -186,19 +191,19 @@ def test_a_damaged_database_file_is_not_ready(new_service):
 
 
 @pytest.mark.parametrize("words", [("keys", "create", "--scopes", "admin"), ("keys", "list"), ("db", "audit")])
-def test_commands_in_the_wrong_folder_make_no_database(tmp_path, words):
+def test_commands_in_the_wrong_folder_make_no_database(tmp_path, words, magcal):
     assert "there is no database" in one_line(magcal(*words, data_dir=str(tmp_path / "nowhere")))
     assert not (tmp_path / "nowhere").exists()
 
 
-def test_a_new_key_comes_with_the_name_of_its_database(tmp_path):
+def test_a_new_key_comes_with_the_name_of_its_database(tmp_path, magcal):
     assert magcal("db", "upgrade", data_dir=str(tmp_path)).returncode == 0
     made = magcal("keys", "create", "--scopes", "read", data_dir=str(tmp_path))
     assert made.stdout.startswith("mgc_")
     assert f"database: sqlite:///{tmp_path}/magcal.db" in made.stderr
 
 
-def test_a_folder_that_is_not_named_from_the_root_is_refused(tmp_path):
+def test_a_folder_that_is_not_named_from_the_root_is_refused(tmp_path, magcal):
     for url in ("file://relative", "file:relative", "relative/path", "s3//typo", "nonsense://x"):
         line = one_line(magcal("serve", "--port", "0", data_dir=str(tmp_path / "d"), store_url=url))
         assert "MAGCAL_STORE_URL" in line
@@ -221,7 +226,7 @@ def test_a_store_from_before_markers_is_taken_where_it_has_the_telemetry(outside
     assert json.loads((folder / "magcal-store.json").read_text()).keys() == {"database"}
 
 
-def test_what_was_moved_on_purpose_is_adopted(outside, tmp_path):
+def test_what_was_moved_on_purpose_is_adopted(outside, tmp_path, magcal):
     service, folder = outside
     filled(service).close()
     shutil.copytree(folder, tmp_path / "moved", ignore=shutil.ignore_patterns("magcal-store.json"))
@@ -253,14 +258,14 @@ def test_a_kill_while_a_database_is_given_its_id_is_gone_on_from(outside, tmp_pa
     assert prepare(settings) is not None
 
 
-def test_a_wrong_setting_is_one_line_with_its_variable(tmp_path):
+def test_a_wrong_setting_is_one_line_with_its_variable(tmp_path, magcal):
     for name, value in (("port", "abc"), ("max_upload_mb", "-1"), ("log_level", "loud")):
         line = one_line(magcal("serve", data_dir=str(tmp_path / "d"), **{name: value}))
         assert f"MAGCAL_{name.upper()}" in line
     assert not (tmp_path / "d").exists()
 
 
-def test_a_taken_port_is_found_before_a_database_is_made(tmp_path):
+def test_a_taken_port_is_found_before_a_database_is_made(tmp_path, magcal):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         line = one_line(magcal("serve", "--port", str(taken.getsockname()[1]), data_dir=str(tmp_path / "d")))
     assert "MAGCAL_PORT" in line

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from magcal_core.calibration.estimators.contract import FitSettings
 from magcal_core.calibration.estimators.registry import ESTIMATORS
@@ -169,3 +170,19 @@ def test_aligned_reference_is_not_suspected(mission, method):
     """p is uniform where the hypothesis holds: ten missions all above 0.001."""
     for seed in range(10):
         assert fit(mission(seed=seed).samples, method).extras["full_matrix"]["p_value"] > 1e-3
+
+
+def test_the_test_of_the_axes_is_the_f_test_of_nested_regressions(mission):
+    """Against least squares of numpy: row i on its first i components, then on all three."""
+    samples = mission(seed=3).samples
+    field = np.column_stack([samples.b_ref_base_nt, np.ones(len(samples))])
+    ratios = []
+    for axis in range(3):
+        squares = [
+            float(np.linalg.lstsq(field[:, columns], samples.h_nt[:, axis], rcond=None)[1][0])
+            for columns in ([*range(axis + 1), 3], [0, 1, 2, 3])
+        ]
+        ratios.append((squares[0] - squares[1]) / (squares[1] / (len(samples) - 4)))
+    found = fit(samples).extras["full_matrix"]
+    assert found["f_statistic"] == pytest.approx(sum(ratios) / 3.0, rel=1e-6)
+    assert found["p_value"] == pytest.approx(stats.f.sf(sum(ratios) / 3.0, 3, 3 * (len(samples) - 4)), rel=1e-6)
