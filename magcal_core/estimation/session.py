@@ -181,8 +181,8 @@ class LockedSession:
 
     def with_rates(self, observations: Observations, offset_s: float) -> Observations:
         """Return ``observations``, whose reference is at ``offset_s``, with its derivative by the clock's offset."""
-        names = tuple(observations.regressors)
-        ends = [self.at_offset(names, offset_s + step_s) for step_s in (RATE_STEP_S, -RATE_STEP_S)]
-        return (
-            observations if None in ends else with_derivative(observations, *[end for end in ends if end is not None])
-        )
+        movable, n = self.referenced.beside(observations, self.usable), len(observations)
+        with suppress(OrbitMissingError, ModelRangeError, IndexRangeError):
+            later, sooner = (movable.at(np.full(n, offset_s + step_s)) for step_s in (RATE_STEP_S, -RATE_STEP_S))
+            return with_derivative(observations, later, sooner)
+        return observations
