@@ -61,15 +61,15 @@ FAULTS: Final[dict[str, Fault]] = {
     ),
     "mean-of-a-regressor": Fault(
         f"{SENSOR}/parameterisation.py", "bias_nt - z.mean @ per_unit", "bias_nt + z.mean @ per_unit",
-        (f"{CORE_TESTS}/estimators/test_scalar.py", f"{CORE_TESTS}/test_contract.py"),
+        ("tests/magcal_core/sensor/test_correction.py",),
     ),
     "regressor-is-added": Fault(
         f"{SENSOR}/correction.py", "h_nt = h_nt - term_nt(", "h_nt = h_nt + term_nt(",
-        (f"{CORE_TESTS}/estimators/test_scalar.py", f"{CORE_TESTS}/test_contract.py"),
+        ("tests/magcal_core/sensor/test_correction.py",),
     ),
     "drift-before-its-base": Fault(
         f"{SENSOR}/regressors.py", "float((t_utc - base_utc) / np", "float((base_utc - t_utc) / np",
-        (f"{CORE_TESTS}/sessions/test_monitoring.py",),
+        ("tests/magcal_core/sensor/test_regressors.py",),
     ),
     # --------------------------------------------------------------------------------------------- the estimators
     "undamped-search": Fault(

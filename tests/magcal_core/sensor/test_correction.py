@@ -9,7 +9,8 @@ from magcal_core.calibration.residuals import statistics
 from magcal_core.numerics.medians import peaks_above, running_median
 from magcal_core.numerics.robust import robust_sigma
 from magcal_core.numerics.vectors import lengths
-from magcal_core.sensor.correction import correct, corrected_lengths
+from magcal_core.sensor.correction import correct, corrected_lengths, readings_without
+from magcal_core.sensor.parameterisation import Standardised, parameters_from_rows
 
 
 @pytest.mark.parametrize("order", ["C", "F"])
@@ -135,3 +136,18 @@ def test_corrected_lengths_are_those_of_the_corrected_readings():
     lower, bias_nt = np.array([[1.1, 0.0, 0.0], [0.05, 0.9, 0.0], [-0.1, 0.02, 1.0]]), np.array([500.0, -300.0, 200.0])
     want = np.linalg.norm((h_nt - bias_nt) @ lower.T, axis=1)
     np.testing.assert_allclose(corrected_lengths(h_nt, bias_nt, lower), want, rtol=2e-15)
+
+
+def test_what_a_regressor_adds_is_taken_off_again_and_the_bias_is_that_at_its_zero():
+    """Readings made here by hand, without noise, with a column whose mean is far from zero."""
+    rng = np.random.default_rng(5)
+    field_nt = 40_000.0 * rng.normal(size=(300, 3))
+    column = rng.uniform(20.0, 60.0, 300)
+    bias_nt, slopes_nt = np.array([900.0, -400.0, 250.0]), np.array([7.0, -3.0, 11.0])
+    readings_nt = field_nt + bias_nt + column[:, None] * slopes_nt
+    z = Standardised.of(("panel",), [column], 300)
+    found = parameters_from_rows(np.eye(3), bias_nt + z.mean[0] * slopes_nt, slopes_nt[None, :] * z.spread[0], z)
+    np.testing.assert_allclose(found.bias_nt, bias_nt, rtol=1e-12)
+    np.testing.assert_allclose(found.regressors["panel"], slopes_nt, rtol=1e-12)
+    left_nt = readings_without({"panel": column}, readings_nt, found)
+    np.testing.assert_allclose(left_nt, field_nt + bias_nt, atol=1e-9)
