@@ -16,6 +16,7 @@ from magcal_core.estimation.diagnosis import diagnosed, refused, with_cause
 from magcal_core.estimation.estimate import Estimate, Prepared
 from magcal_core.estimation.judgement import judged
 from magcal_core.estimation.noise import with_noise
+from magcal_core.estimation.odd_light import without_odd_light
 from magcal_core.estimation.record import calibration_of
 from magcal_core.estimation.regressor_choice import with_regressors
 from magcal_core.estimation.start_and_loss import started
@@ -117,5 +118,5 @@ def calibrate(
 
 def _estimate(referenced: Referenced, options: CalibrationOptions) -> Estimate:
     """Return the estimate: start and loss, clock, noise model, regressors, and what locked errors leave of it."""
-    prepared = Prepared.of(referenced, options)
-    return with_time_base(with_locked_terms(with_regressors(with_noise(with_clock(started(prepared))))))
+    fitted = without_odd_light(with_regressors(with_noise(with_clock(started(Prepared.of(referenced, options))))))
+    return with_time_base(with_locked_terms(fitted))

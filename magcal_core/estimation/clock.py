@@ -30,8 +30,10 @@ NEAR_S: Final = 20.0
 """How near a clock that was taken and one from afar are the same."""
 
 
-def with_clock(estimate: Estimate) -> Estimate:
+def with_clock(estimate: Estimate, near_s: float = 0.0) -> Estimate:
     """Return the estimate with its clock, where one is asked for, or where the orbit is old enough to look for one.
+
+    ``near_s``: offset that a fit to nearly the same samples has, s, where the search begins.
 
     Raises
     ------
@@ -49,10 +51,10 @@ def with_clock(estimate: Estimate) -> Estimate:
         return estimate
     if options.time_drift or options.locked_terms == "none":
         return _with_plain_clock(estimate)
-    return _beside_locked_errors(estimate)
+    return _beside_locked_errors(estimate, near_s)
 
 
-def _beside_locked_errors(estimate: Estimate) -> Estimate:
+def _beside_locked_errors(estimate: Estimate, near_s: float) -> Estimate:
     """Return the estimate with the clock that is asked for or that the data show beside locked errors."""
     prepared = estimate.prepared
     session = prepared.session
@@ -63,6 +65,9 @@ def _beside_locked_errors(estimate: Estimate) -> Estimate:
     trimmed, loss, begin_s = None, estimate.loss, 0.0
     if is_asked and far is not None and far.is_found:
         begin_s = far.offset_s
+        loss = _loss_at(session, prepared, begin_s)
+    elif near_s:
+        begin_s = near_s
         loss = _loss_at(session, prepared, begin_s)
     elif not estimate.loss.is_clean and (is_asked or prepared.referenced.age_days > AUTO_AGE_DAYS):
         # A clock that is off makes bad rows of good ones: the loss is chosen again where the clock is roughly right.

@@ -16,6 +16,7 @@ from magcal_core.calibration.terms.coarse_clock import CoarseClock
 from magcal_core.calibration.terms.full_matrix import FullMatrix
 from magcal_core.calibration.terms.locked import LockedTerms
 from magcal_core.calibration.terms.locked_clock import LockedClock
+from magcal_core.calibration.terms.odd_light import OddLight
 from magcal_core.calibration.terms.regressor_candidates import RegressorCandidate, expanded
 from magcal_core.calibration.terms.regressor_selection import Ablation
 from magcal_core.calibration.terms.trimmed_clock import TrimmedClock
@@ -33,7 +34,8 @@ class Prepared:
     """Samples with their reference as the method sees them, and how to fit them.
 
     ``usable``: which samples the method can use, shape (n,); ``names``: regressors that were asked for by name;
-    ``session``: what the errors of their bias may be locked to.
+    ``session``: what the errors of their bias may be locked to; ``kept``: samples that may be used at all, shape (n,),
+    where some were left out after a first fit.
     """
 
     referenced: Referenced
@@ -44,6 +46,7 @@ class Prepared:
     usable: NDArray[np.bool_]
     observations: Observations
     session: LockedSession
+    kept: NDArray[np.bool_] | None = None
 
     @classmethod
     def of(cls, referenced: Referenced, options: CalibrationOptions) -> Prepared:
@@ -69,6 +72,15 @@ class Prepared:
     def with_names(self, names: tuple[str, ...]) -> Prepared:
         """Return the same with other regressors, and with the samples that have them."""
         usable = self.referenced.usable(names, self.estimator.is_vector)
+        return self._of(names, usable if self.kept is None else usable & self.kept)
+
+    def without(self, rows: NDArray[np.bool_]) -> Prepared:
+        """Return the same without ``rows`` of its observations, shape (len(observations),)."""
+        kept = np.ones(len(self.usable), dtype=bool) if self.kept is None else self.kept.copy()
+        kept[np.flatnonzero(self.usable)[rows]] = False
+        return replace(self._of(self.names, self.usable & kept), kept=kept)
+
+    def _of(self, names: tuple[str, ...], usable: NDArray[np.bool_]) -> Prepared:
         observations = self.referenced.observations(usable, names)
         session = LockedSession(self.referenced, usable, self.estimator.is_vector)
         return replace(self, names=names, usable=usable, observations=observations, session=session)
@@ -119,6 +131,8 @@ class Estimate:
         A clock that is minutes or hours off, where one was looked for.
     trust : Trust, optional
         What stands beside the fit once locked errors have been weighed.
+    odd_light : OddLight, optional
+        Rows in the sun, or in shadow, that were left out.
     """
 
     prepared: Prepared
@@ -132,6 +146,7 @@ class Estimate:
     trust: Trust | None = None
     ablation: tuple[Ablation, ...] = field(default=())
     candidates: tuple[RegressorCandidate, ...] = field(default=())
+    odd_light: OddLight | None = None
 
     @property
     def estimator(self) -> Estimator:

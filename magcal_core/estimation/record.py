@@ -278,6 +278,8 @@ def _warnings(estimate: Estimate, judged: Judged) -> tuple[str, ...]:
     """Return the warnings of the reference, the rows, the fit and the residuals, in that order."""
     judgement = judged.judgement
     found = [*estimate.prepared.referenced.report.warnings, *judged.quality.warnings, *_fit_warnings(estimate)]
+    if estimate.odd_light is not None:
+        found.append(estimate.odd_light.warning)
     if (storm := storm_of(estimate.prepared.referenced)) is not None:
         found.append(f"storm: {storm.text}")
     if not estimate.estimator.is_vector:

@@ -15,6 +15,7 @@ from magcal_core.calibration.estimators.contract import Estimator, Fit, FitSetti
 from magcal_core.calibration.estimators.linear_rows import Moments
 from magcal_core.calibration.observability.information import ENOUGH
 from magcal_core.calibration.terms.coarse_clock import POOR, CoarseClock, coarse_clock, quadric_share
+from magcal_core.calibration.terms.heat_columns import light_along
 from magcal_core.calibration.terms.locked import Kind, LockedTerms, locked_terms
 from magcal_core.calibration.terms.locked_clock import RATE_STEP_S, ClockSearch, with_derivative
 from magcal_core.calibration.terms.locked_columns import (
@@ -63,6 +64,13 @@ class LockedSession:
     def around(self) -> Surroundings:
         """Place and sun at the usable samples."""
         return surroundings_of(self.samples, self.referenced.orbits, self.referenced.field)
+
+    def light(self, offset_s: float) -> Floats | None:
+        """Return 1 in the sun and 0 in the umbra, shape (n,), of the usable samples at a clock's offset, s."""
+        if offset_s == 0.0 or not self.referenced.has_orbit:
+            return self.around.light
+        t_utc = self.samples.t_utc + np.timedelta64(round(offset_s * 1e9), "ns")
+        return light_along(t_utc, self.referenced.orbits)
 
     def source(self, clock_error_s: float | None) -> ReferenceSource:
         """Return where the reference came from."""
@@ -173,8 +181,8 @@ class LockedSession:
 
     def with_rates(self, observations: Observations, offset_s: float) -> Observations:
         """Return ``observations``, whose reference is at ``offset_s``, with its derivative by the clock's offset."""
-        names = tuple(observations.regressors)
-        ends = [self.at_offset(names, offset_s + step_s) for step_s in (RATE_STEP_S, -RATE_STEP_S)]
-        return (
-            observations if None in ends else with_derivative(observations, *[end for end in ends if end is not None])
-        )
+        movable, n = self.referenced.beside(observations, self.usable), len(observations)
+        with suppress(OrbitMissingError, ModelRangeError, IndexRangeError):
+            later, sooner = (movable.at(np.full(n, offset_s + step_s)) for step_s in (RATE_STEP_S, -RATE_STEP_S))
+            return with_derivative(observations, later, sooner)
+        return observations

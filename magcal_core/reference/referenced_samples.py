@@ -206,7 +206,15 @@ class Referenced:
         self, usable: NDArray[np.bool_], regressors: Sequence[str], rows: slice, *, uses: int
     ) -> MovableObservations:
         # Of all samples: a column at a lag, or a slope, needs the neighbours of the usable ones.
-        unmoved = self.observations(usable, regressors)
+        return self.beside(self.observations(usable, regressors), usable, rows, uses=uses)
+
+    def beside(
+        self, unmoved: Observations, usable: NDArray[np.bool_], rows: slice = slice(None), *, uses: int = 1
+    ) -> MovableObservations:
+        """Return ``unmoved``, the observations of the ``usable`` samples, to be asked for the reference at other times.
+
+        ``rows``: which of them; ``uses``: how often they will be asked, at least.
+        """
         t_utc, q = self.samples.t_utc[usable], None
         if unmoved.b_base_nt is not None and self.samples.q_base_gcrf is not None:
             q = self.samples.q_base_gcrf[usable]

@@ -17,33 +17,26 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats, Mask, Times
 from magcal_core.attitude.rotation import rotate_rows
+from magcal_core.calibration.terms.heat_columns import heat_columns, light_of, places_itrf_km, sun_gcrf
 from magcal_core.calibration.terms.locked_posterior import LockedFamilies
 from magcal_core.constants import EARTH_ROTATION_RAD_S
 from magcal_core.errors import ModelRangeError
 from magcal_core.field import FieldModel
 from magcal_core.numerics.vectors import lengths
 from magcal_core.orbit import Orbit
-from magcal_core.orbit.earth.bodies import default_ephemeris, sun_moon_gcrf
 from magcal_core.orbit.earth.earth_fixed import itrf_to_gcrf_fast
 from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
 from magcal_core.samples import Samples
 
 FAMILIES: Final = ("orbit", "heat", "sun")
-UMBRA_KM: Final = 6378.0
-TIME_CONSTANTS_S: Final = (600.0, 2400.0)
 MANY_ORBITS: Final = 4.0
 """Orbits from which on the amplitude of a wave may change over the session."""
 _LEAST_SPREAD: Final = 1e-3
 """Standard deviation below which a column is constant."""
-_GAP_STEPS: Final = 10.0
-_GAP_S: Final = 600.0
-"""A step longer than ten usual ones and than this is a gap: what the light did in it is not known."""
-_SUN_NODE: Final = np.timedelta64(6, "h")
 MOST_UNSEEN: Final = 4.0
 """Largest ratio of the sun's square across the field to that along it that is believed."""
 
@@ -62,12 +55,15 @@ class Surroundings:
         Direction of the sun in the base frame, where attitude is known.
     cosine : shape (n,), optional
         Cosine of the angle of the model's field and the sun, where it is not.
+    heat : shape (n, 2), optional
+        Light with a delay (`heat_columns`), where light is known.
     """
 
     period_s: float | None
     light: Floats | None = None
     sun_base: Floats | None = None
     cosine: Floats | None = None
+    heat: Floats | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,23 +114,26 @@ def surroundings_of(
     """
     period_s = orbital_period_s(samples, orbits)
     r_km = samples.r_itrf_km
+    if r_km is None:
+        r_km = places_itrf_km(samples.t_utc, orbits)
     if r_km is None or not np.isfinite(r_km).all() or len(samples) < 2:
         return Surroundings(period_s)
     sun = sun_gcrf(samples.t_utc)
     r_gcrf_km = itrf_to_gcrf_fast(samples.t_utc, r_km)
     light = light_of(r_gcrf_km, sun)
+    heat = heat_columns(samples.t_utc, light, orbits)
     q = samples.q_base_gcrf
     if q is not None and np.isfinite(q).all():
-        return Surroundings(period_s, light, rotate_rows(q, np.ascontiguousarray(sun)))
+        return Surroundings(period_s, light, rotate_rows(q, np.ascontiguousarray(sun)), None, heat)
     b_nt = samples.b_ref_gcrf_nt
     if not needs_cosine:
-        return Surroundings(period_s, light)
+        return Surroundings(period_s, light, None, None, heat)
     if b_nt is None or not np.isfinite(b_nt).all():
         try:
             b_nt = itrf_to_gcrf_fast(samples.t_utc, field.field_itrf_nt(samples.t_utc, r_km))
         except ModelRangeError:
-            return Surroundings(period_s, light)
-    return Surroundings(period_s, light, None, np.einsum("ni,ni->n", b_nt, sun) / lengths(b_nt))
+            return Surroundings(period_s, light, None, None, heat)
+    return Surroundings(period_s, light, None, np.einsum("ni,ni->n", b_nt, sun) / lengths(b_nt), heat)
 
 
 def locked_columns(t_s: Floats, around: Surroundings, unit: Floats, used: Mask) -> LockedColumns | None:
@@ -155,7 +154,8 @@ def locked_columns(t_s: Floats, around: Surroundings, unit: Floats, used: Mask) 
     if around.period_s is not None:
         made += [("orbit", column) for column in _orbit_columns(t_s, around.period_s)]
     if around.light is not None:
-        made += [("heat", column) for column in _heat_columns(t_s, around.light)]
+        made += [("heat", around.light)]
+        made += [("heat", column) for column in (np.zeros((0, 0)) if around.heat is None else around.heat).T]
         towards = around.sun_base
         if towards is None and around.cosine is not None:
             towards, unseen = around.cosine[:, None] * unit, _unseen(around.light, around.cosine, used)
@@ -185,49 +185,11 @@ def _orbit_columns(t_s: Floats, period_s: float) -> list[Floats]:
     return columns
 
 
-def _heat_columns(t_s: Floats, light: Floats) -> list[Floats]:
-    steps = np.diff(t_s, prepend=t_s[0])
-    gap_s = max(_GAP_STEPS * float(np.median(steps[1:])), _GAP_S) if len(steps) > 1 else _GAP_S
-    return [light, *(_filtered(light, steps, gap_s, tau) for tau in TIME_CONSTANTS_S)]
-
-
-@njit(cache=True, nogil=True)
-def _filtered(light: Floats, steps: Floats, gap_s: float, tau_s: float) -> Floats:  # pragma: no cover - compiled
-    """Return y of y' = (light - y) / tau from the mean of light on; in a gap it goes towards that mean."""
-    mean = light.mean()
-    y = np.empty(light.size)
-    here = mean
-    for i in range(light.size):
-        if i:
-            towards = mean if steps[i] > gap_s else light[i]
-            here = towards + (here - towards) * np.exp(-steps[i] / tau_s)
-        y[i] = here
-    return y
-
-
 def _unseen(light: Floats, cosine: Floats, used: Mask) -> float:
     """Return the mean square of the sun across the field over that along it."""
     along = float(np.mean((light * cosine**2)[used]))
     across = float(np.mean((light * (1.0 - cosine**2))[used]))
     return min(across / max(along, 1e-12), MOST_UNSEEN) if across > 0 else 0.0
-
-
-def sun_gcrf(t_utc: Times) -> Floats:
-    """Return the direction of the sun, shape (n, 3), GCRF: of nodes 6 h apart, 2e-6 rad between them."""
-    first, last = t_utc.min(), t_utc.max()
-    nodes = np.append(np.arange(first, last, _SUN_NODE), [last, last + _SUN_NODE])
-    s = sun_moon_gcrf(nodes, default_ephemeris())[0][:, 0]
-    s = s / np.linalg.norm(s, axis=1)[:, None]
-    at = (t_utc - first) / np.timedelta64(1, "s")
-    knots = (nodes - first) / np.timedelta64(1, "s")
-    return np.column_stack([np.interp(at, knots, s[:, i]) for i in range(3)])
-
-
-def light_of(r_km: Floats, sun: Floats) -> Floats:
-    """Return 1 in the sun and 0 in the umbra, shape (n,): a cylinder of `UMBRA_KM` behind the Earth."""
-    along = np.einsum("ni,ni->n", r_km, sun)
-    across = np.einsum("ni,ni->n", r_km, r_km) - along**2
-    return np.where((along < 0.0) & (across < UMBRA_KM**2), 0.0, 1.0)
 
 
 def orbital_period_s(samples: Samples, orbits: Sequence[Orbit]) -> float | None:
