@@ -9,11 +9,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from tests.faults.stem import Stems
 
-settings.register_profile("busy", deadline=None)  # what a first call compiles or a busy machine delays is no error
+# What a first call compiles, or a busy machine delays, is no error of what is tested.
+settings.register_profile("busy", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("busy")
 
 ROOT = Path(__file__).resolve().parent.parent

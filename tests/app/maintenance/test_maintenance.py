@@ -40,6 +40,7 @@ def kept(new_service, data_dir: Path) -> Iterator[tuple[httpx2.Client, Database,
         while api.get(f"/jobs/{job['id']}").json()["state"] != "succeeded":
             assert time.monotonic() < deadline
             time.sleep(0.05)
+        service.services.attention_watcher.stop()  # else it writes on while a test compares
         yield api, service.database, session_id, service.settings
 
 
