@@ -17,6 +17,7 @@ from scipy.linalg import cho_factor, cho_solve, toeplitz
 
 from benchmarks.measure import Figure
 from magcal_core.arrays import Floats
+from magcal_core.calibration.diagnosis.search import period_of
 from magcal_core.calibration.estimators.linear_rows import rows_of
 from magcal_core.estimation.estimate import Prepared
 from magcal_core.estimation.start_and_loss import started
@@ -48,7 +49,7 @@ def covariance_of(error: str, n: int, orbit_s: float) -> Floats:
         steps = np.arange(1, n + 1)
         return np.asarray(square / n * np.minimum.outer(steps, steps))
     if error == "wave":
-        periods_s = 60.0 * np.exp(np.linspace(*np.log(MINUTES), 60))
+        periods_s = 60.0 * np.geomspace(MINUTES[0], MINUTES[1], 60)
         waves = np.cos(2.0 * np.pi * lag_s / periods_s[:, None]).mean(axis=0)
         return np.asarray(square / 6.0 * toeplitz(waves))
     if error == "heat":
@@ -69,7 +70,7 @@ def log_odds(session: Session, error: str) -> float:
     prepared = Prepared.of(Referenced.of(flown.sent(), [flown.orbit], options, sources), options)
     estimate = started(prepared)
     (channel,) = rows_of(estimate.observations, estimate.fit).channels
-    orbit_s, n = 86_400.0 / flown.orbit.elements.mean_motion_rev_day, len(channel.y)
+    orbit_s, n = period_of(flown.orbit, flown.samples.t_utc[0]), len(channel.y)
     jacobian = channel.jacobian / np.sqrt(np.mean(channel.jacobian**2, axis=0))
     carried = channel.carriers @ channel.carriers.T / channel.sigma_nt**2
     known = (NOISE_NT / channel.sigma_nt) ** 2 * np.eye(n) + _FLAT * jacobian @ jacobian.T
