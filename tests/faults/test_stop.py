@@ -45,6 +45,8 @@ def test_uploads_in_flight_are_kept_when_the_server_is_asked_to_stop(site: Site,
     with ThreadPoolExecutor(4) as pool:
         stations = [pool.submit(station, number) for number in range(4)]
         half_sent.wait(30)
+        with site.client(url) as api:  # asked after the four, so that once it is answered they have been accepted
+            api.get("/satellites").raise_for_status()
         server.send_signal(signal.SIGTERM)
         asked.set()
         assert [one.result() for one in stations] == [201] * 4

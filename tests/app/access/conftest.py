@@ -72,6 +72,7 @@ class World:
             "POST /satellites/{satellite_id}/orbits": {"content": tle_text().encode(), "headers": TLE},
             "POST /satellites/{satellite_id}/sessions": telemetry | {"params": {"magnetometer": "mgm"}},
             "POST /satellites/{satellite_id}/sessions/confirm": {"json": {"magnetometer": "mgm", "sha256": ["0" * 64]}},
+            "POST /satellites/{satellite_id}/sessions/preview": telemetry | {"params": {"magnetometer": "mgm"}},
             "POST /sessions/{session_id}/samples": telemetry,
             "POST /parameter-sets/{parameter_set_id}/apply": telemetry,
             "POST /jobs": {"json": {"kind": "calibration", "session_ids": [ids["session_id"]]}},

@@ -26,6 +26,7 @@ SCOPES = {
     "POST /satellites/{satellite_id}/sessions": "ingest",
     "GET /satellites/{satellite_id}/sessions": "read",
     "POST /satellites/{satellite_id}/sessions/confirm": "ingest",
+    "POST /satellites/{satellite_id}/sessions/preview": "ingest",
     "POST /sessions/{session_id}/samples": "ingest",
     "GET /sessions/{session_id}/samples": "read",
     "POST /sessions/{session_id}/close": "ingest",
@@ -208,6 +209,8 @@ def test_every_path_with_a_route_is_documented_or_a_page(service, operations):
     app = service.server.config.app
     pages = {"/", "/login", "/login/state", "/logout", "/compare", "/jobs", "/keys", "/docs", "/docs/oauth2-redirect"}
     pages |= {"/openapi.json", "/satellites/{satellite_id}", "/sessions/{session_id}", "/parameter-sets/{set_id}"}
+    pages |= {"/satellites/{satellite_id}/magnetometers", "/reprocessings", "/reprocessings/{job_id}"}
+    pages |= {"/satellites/{satellite_id}/magnetometers/{magnetometer_id}"}
     pages |= {
         "/reasons",
         "/assets/plotly-{named_version}.min.js",
