@@ -3,20 +3,33 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated
+from typing import Annotated, Final
 
-from pydantic import Field, Json, JsonValue, StringConstraints
+from pydantic import BeforeValidator, Field, Json, JsonValue, StringConstraints, WithJsonSchema
 
 from app.http.schemas import Filter, Record, Slug, UtcTime
 from app.satellites.schemas import Columns, Unit
 from app.sessions.sensor_reading import SensorReading
+
+MOST_TEXT: Final = 30_000
+"""Characters of a map of columns in a URL: a hundred names of each side, and as much again."""
+
+
+def _bounded(value: object) -> object:
+    if isinstance(value, str) and len(value) > MOST_TEXT:
+        raise ValueError(f"longer than {MOST_TEXT} characters")
+    return value
+
+
+_TEXT: Final = {"type": "string", "contentMediaType": "application/json", "maxLength": MOST_TEXT}
+ColumnsText = Annotated[Json[Columns], BeforeValidator(_bounded), WithJsonSchema(_TEXT)]
 
 
 class LookQuery(Filter):
     """Whose telemetry it is, and how to read it instead of as the magnetometer is kept; what is left out stays."""
 
     magnetometer: Slug
-    columns: Json[Columns] | None = Field(None, description="Column of magcal -> that of the table, a JSON object.")
+    columns: ColumnsText | None = Field(None, description="Column of magcal -> that of the table, a JSON object.")
     unit: Unit | None = None
     nt_per_count: float | None = Field(None, gt=0, lt=1e9, description="nT in one count, where the unit is counts.")
     time_format: Annotated[str, StringConstraints(max_length=100)] | None = Field(

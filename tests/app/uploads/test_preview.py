@@ -64,7 +64,7 @@ def test_what_is_suggested_reads_the_table_and_nothing_is_kept(api, satellite, f
     assert third["read"]["samples"] == len(flown) and third["read"]["housekeeping"] == ["T"]
     np.testing.assert_allclose(third["read"]["first_nt"], flown.h_nt[:5], atol=1e-3)  # written to 1e-6 uT
     assert third["read"]["first_times"][0][:19] == str(flown.t_utc[0])[:19]
-    assert api.get("/sessions").json()["items"] == []
+    assert api.get("/sessions", params={"satellite": satellite}).json()["items"] == []
 
     change = {"columns": first["suggested_columns"], "time_format": named["time_format"], "unit": "uT"}
     api.patch(f"/satellites/{satellite}/magnetometers/mgm", json=change).raise_for_status()
