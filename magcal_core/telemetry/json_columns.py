@@ -82,9 +82,9 @@ def _read_fast(text: bytes, mapped: dict[str, str], form: TableForm) -> pa.Table
             read_options=pajson.ReadOptions(block_size=len(text) + 1),
             parse_options=pajson.ParseOptions(explicit_schema=schema, unexpected_field_behavior="infer"),
         )
+        return _unfold(whole)  # lists in lists may have been read into columns that hold together no longer
     except pa.ArrowInvalid:
         return None
-    return _unfold(whole)
 
 
 def _unfold(whole: pa.Table) -> pa.Table | None:
