@@ -19,8 +19,7 @@ DRAWN_S = 60.0
 DRAWN_MS = 60_000
 MOST_STOPS = 1000
 """Of the Tab key on any page, its figures' buttons with it."""
-LOOKS = [("light", 1366, 768), ("dark", 1366, 768), ("light", 2560, 1440)]
-"""Every width and every theme; dark and wide has the colours of the second and the lines of the third."""
+LOOKS = [("light", 1366, 768), ("dark", 1366, 768), ("light", 2560, 1440), ("dark", 2560, 1440)]
 
 
 @pytest.fixture(scope="module")
