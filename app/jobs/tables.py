@@ -36,6 +36,7 @@ class Job(Base):
     parent_id: Mapped[str | None] = mapped_column(ForeignKey("job.id"))
     lock: Mapped[str | None] = mapped_column(String(130))
     request: Mapped[dict[str, object]] = mapped_column(JsonColumn)
+    request_version: Mapped[int] = mapped_column(server_default="1")
     progress: Mapped[float]
     attempts: Mapped[int]
     lost_attempts: Mapped[int]

@@ -21,6 +21,7 @@ from sqlalchemy import ColumnElement, Update, and_, bindparam, case, exists, fun
 from sqlalchemy.orm import Session
 
 from app.errors import ServiceError
+from app.jobs.request_version import REQUEST_VERSION
 from app.jobs.tables import Job
 from app.outbox.events import job_ended
 from app.outbox.log import append
@@ -70,6 +71,7 @@ def new_job(
         state=RUNNING if is_sum else QUEUED,
         priority=priority,
         request=request,
+        request_version=REQUEST_VERSION,
         progress=0.0,
         attempts=0,
         lost_attempts=0,

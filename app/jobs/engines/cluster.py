@@ -29,6 +29,7 @@ from app.errors import UnavailableError
 from app.jobs.execution.attempt import PATIENCE_S, Executor
 from app.jobs.execution.leases import bury_lost, claim_one, lapsed_by_clock
 from app.jobs.kinds.contract import Claim
+from app.jobs.request_version import QUEUES, queue_of
 from app.jobs.tables import Job
 from app.settings import Settings
 from app.storage.database import Database, DatabaseNow
@@ -41,15 +42,16 @@ LOST_SIGHT_S: Final = 1.0
 """A job whose lease ran out so long ago, and that procrastinate does not hand out, is handed out again."""
 MOST_AT_ONCE: Final = 100
 RESTART_S: Final = 1.0
+LOOP_GRACE_S: Final = 10.0
+"""So long procrastinate's loop has to close its connections once no job is left in hand."""
 ROUND_S: Final = 2.0
 """So long a worker goes on to take jobs before procrastinate's own loop has its turn."""
 
 log = structlog.get_logger()
 handed_out = table("procrastinate_jobs", column("id"), column("status"))
 FETCH: Final = text(
-    "SELECT id, args ->> 'job_id' AS job_id "
-    "FROM procrastinate_fetch_job_v2(CAST(ARRAY['magcal'] AS varchar[]), :worker_id)"
-)
+    "SELECT id, args ->> 'job_id' AS job_id FROM procrastinate_fetch_job_v2(CAST(:queues AS varchar[]), :worker_id)"
+).bindparams(queues=list(QUEUES))
 END: Final = text(
     "SELECT procrastinate_finish_job_v1(id, 'succeeded', true) FROM procrastinate_jobs "
     "WHERE id = :queue_id AND status IN ('todo', 'doing')"
@@ -79,7 +81,7 @@ class ClusterQueue:
         connection = session.connection().connection.driver_connection
         for job in jobs:
             deferrer = self._app.configure_task(
-                TASK, queue="magcal", lock=job.lock, priority=-job.rank, connection=connection
+                TASK, queue=queue_of(job.request_version), lock=job.lock, priority=-job.rank, connection=connection
             )
             try:
                 job.queue_id = deferrer.defer(job_id=job.id)
@@ -110,7 +112,7 @@ class ClusterWorkers:
         self._name = f"{socket.gethostname()}:{os.getpid()}"
         self._executors = [Executor(database, store, settings, cluster) for _ in range(count)]
         self._free: queue.SimpleQueue[Executor] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=lambda: asyncio.run(self._run()))
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._run()), daemon=True)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._running: asyncio.Task[None] | None = None
         self._stopping = threading.Event()
@@ -129,7 +131,10 @@ class ClusterWorkers:
         self._thread.join(grace_s)
         for executor in self._executors:
             executor.close()
-        self._thread.join()
+        self._thread.join(LOOP_GRACE_S)
+        if self._thread.is_alive():
+            # The jobs are handed back: what is left is the library's own, and must not keep the process from its end.
+            log.warning("queue_loop_left", waited_s=LOOP_GRACE_S)
         for executor in self._executors:
             executor.calculator.kill()
 
@@ -159,7 +164,7 @@ class ClusterWorkers:
             sweeping = asyncio.create_task(self._sweep(app))
             try:
                 await app.run_worker_async(
-                    queues=["magcal"],
+                    queues=list(QUEUES),
                     name=self._name,
                     concurrency=self._count,
                     install_signal_handlers=False,

@@ -2,7 +2,7 @@
 
 Times are the database's own; on SQLite, whose clock is the machine's, `Sightings` guards against its steps. A lease
 that ran out means that its worker is lost; the next claim takes the job over and counts the loss, and a job that lost
-too many workers is dead.
+too many workers is dead. No job is claimed that a later release has asked for (`app.jobs.request_version`).
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from sqlalchemy.orm import Session
 from app.errors import ServiceError
 from app.jobs import transitions
 from app.jobs.kinds.contract import Claim
+from app.jobs.request_version import is_understood
 from app.jobs.transitions import CANCELLED, FAILED, JOBS, QUEUED, RUNNING, end_lost
 from app.problems import Problem, problem
 from app.storage.database import DatabaseNow
@@ -76,7 +77,7 @@ class Sightings:
 
 def is_work_waiting(session: Session, lapsed: ColumnElement[bool] | None) -> bool:
     """Return whether a job waits or has lost its worker; a look that takes no lock."""
-    waits = select(JOBS.c.id).where(JOBS.c.state == QUEUED).limit(1)
+    waits = select(JOBS.c.id).where(JOBS.c.state == QUEUED, is_understood()).limit(1)
     return lapsed is not None or session.execute(waits).first() is not None
 
 
@@ -119,7 +120,7 @@ def _claim(session: Session, statement: Update, worker: str, job_id: str | None 
 def _claiming(begin: str, which: ColumnElement[bool], lease_s: float) -> Update:
     """Return the statement by which a worker takes the job ``which`` that is in state ``begin``."""
     job = JOBS.c
-    return transitions.claiming(begin, which, lease_s).returning(
+    return transitions.claiming(begin, and_(which, is_understood()), lease_s).returning(
         job.id, job.attempts, job.kind, job.lost_attempts, job.satellite_id, job.magnetometer_id, job.request
     )
 
@@ -139,7 +140,7 @@ def _claiming_first(lease_s: float) -> Update:
 def _first(state: ColumnElement[bool], held: Select[tuple[str | None]]) -> ColumnElement[bool]:
     """Return the condition that tells the first job in ``state`` whose lock is not ``held``."""
     job = JOBS.c
-    free = select(job.id).where(state, or_(job.lock.is_(None), job.lock.not_in(held)))
+    free = select(job.id).where(state, is_understood(), or_(job.lock.is_(None), job.lock.not_in(held)))
     return job.id == free.order_by(job.rank, job.id).limit(1).scalar_subquery()
 
 
