@@ -12,6 +12,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from tests.faults.stem import Stems
+from tests.slow_tests import NOTED, name_of
 
 # What a first call compiles, or a busy machine delays, is no error of what is tested.
 settings.register_profile("busy", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -25,7 +26,11 @@ LONGEST_FIRST = ("tests/faults", "tests/browser", "tests/app", "tests")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the folders whose files take longest."""
+    """Begin with the folders whose files take longest, and mark the tests that are noted as slow."""
+    slow = set(NOTED.read_text(encoding="utf-8").split())
+    for item in items:
+        if name_of(item.nodeid) in slow:
+            item.add_marker(pytest.mark.slow)
     items.sort(key=lambda item: next(i for i, name in enumerate(LONGEST_FIRST) if item.nodeid.startswith(name)))
 
 
