@@ -6,8 +6,9 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,12 +26,20 @@ from app.client.blocking import (
 from magcal_core.simulation.dekart_mission import SESSIONS, simulated, tle_text
 from magcal_core.telemetry import read_samples, write_samples
 from tests.apart import run_apart
+from tests.faults.stem import Stems
 
 ROOT = Path(__file__).resolve().parents[3]
 CSV = b"time,bx,by,bz,ref_b\n2026-01-01T00:00:00Z,20000,1,2,20000\n2026-01-01T00:00:10Z,20001,1,2,20000\n"
 
 
-def magcal(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+@pytest.fixture
+def magcal(stems: Stems, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """What runs a command in a process that need not import magcal anew."""
+    return partial(stems.run, folder=tmp_path_factory.mktemp("commands"))
+
+
+def run_installed(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run the command that is installed."""
     command = [Path(sys.executable).with_name("magcal"), *arguments]
     return subprocess.run(
         command, cwd=ROOT, env=os.environ | environment, capture_output=True, text=True, timeout=120, check=False
@@ -43,7 +52,7 @@ def client(service):
         yield client
 
 
-def test_pushing_a_file_twice_leaves_one_session(service, satellite, tmp_path):
+def test_pushing_a_file_twice_leaves_one_session(service, satellite, tmp_path, magcal):
     path = tmp_path / "pass.csv"
     path.write_bytes(CSV)
     arguments = ("push", str(path), "--satellite", satellite, "--magnetometer", "mgm", "--url", service.url, "--json")
@@ -52,7 +61,7 @@ def test_pushing_a_file_twice_leaves_one_session(service, satellite, tmp_path):
     assert json.loads(first.stdout)["id"] == json.loads(second.stdout)["id"]
 
 
-def test_a_push_that_fails_says_why_in_one_line_and_exits_1(service, tmp_path):
+def test_a_push_that_fails_says_why_in_one_line_and_exits_1(service, tmp_path, magcal):
     path = tmp_path / "pass.csv"
     path.write_bytes(CSV)
     failed = magcal(
@@ -175,7 +184,7 @@ def test_media_types_follow_the_name():
     assert kinds == ["csv", "csv", "x-ndjson", "json", "vnd.apache.parquet", "octet-stream"]
 
 
-def test_keys_are_made_listed_and_revoked_on_the_command_line(tmp_path):
+def test_keys_are_made_listed_and_revoked_on_the_command_line(tmp_path, magcal):
     folder = {"MAGCAL_DATA_DIR": str(tmp_path)}
     assert magcal("db", "upgrade", **folder).returncode == 0
     made = magcal("keys", "create", "--scopes", "read,ingest", "--satellites", "a,b", "--json", **folder)
@@ -195,7 +204,7 @@ def test_keys_are_made_listed_and_revoked_on_the_command_line(tmp_path):
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_shells_are_told_how_to_complete(shell):
-    done = magcal(_MAGCAL_COMPLETE=f"{shell}_source")
+    done = run_installed(_MAGCAL_COMPLETE=f"{shell}_source")
     assert done.returncode == 0, done.stderr
     assert f"_MAGCAL_COMPLETE={shell}_complete" in done.stdout
     page = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
@@ -208,11 +217,11 @@ def test_shells_are_told_how_to_complete(shell):
 )
 def test_commands_options_and_values_are_completed(words, wanted):
     last = str(len(words.split()) - 1)
-    done = magcal(_MAGCAL_COMPLETE="bash_complete", COMP_WORDS=words, COMP_CWORD=last)
+    done = run_installed(_MAGCAL_COMPLETE="bash_complete", COMP_WORDS=words, COMP_CWORD=last)
     assert f"plain,{wanted}" in done.stdout.splitlines()
 
 
-def test_wrong_usage_exits_2_and_a_missing_key_exits_1(tmp_path):
+def test_wrong_usage_exits_2_and_a_missing_key_exits_1(tmp_path, magcal):
     folder = {"MAGCAL_DATA_DIR": str(tmp_path)}
     assert magcal("keys", "create", "--scopes", "everything", **folder).returncode == 2
     assert magcal("keys", "create", "--scopes", "read", "--expires", "tomorrow", **folder).returncode == 2
@@ -222,7 +231,7 @@ def test_wrong_usage_exits_2_and_a_missing_key_exits_1(tmp_path):
     assert missing.stderr.splitlines()[-1] == "magcal: not_found: no such key"
 
 
-def test_the_schema_can_be_upgraded_and_shown(tmp_path):
+def test_the_schema_can_be_upgraded_and_shown(tmp_path, magcal):
     folder = {"MAGCAL_DATA_DIR": str(tmp_path)}
     assert magcal("db", "current", **folder).stdout.startswith("empty")
     revision = magcal("db", "upgrade", **folder).stdout.strip()
@@ -230,7 +239,7 @@ def test_the_schema_can_be_upgraded_and_shown(tmp_path):
 
 
 def test_the_demonstration_finds_the_truth_and_exits():
-    done = magcal("demo", "--once")
+    done = run_installed("demo", "--once")
     assert done.returncode == 0, done.stderr
     for line in ("session 1, 700 samples", "session 2, 1400 samples", "drift between the sessions"):
         assert line in done.stdout
