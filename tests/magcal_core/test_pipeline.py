@@ -347,6 +347,17 @@ class TestTimeOffset:
         assert left.parameters.time_offset_s is None
         assert not left.extras["time_offset"]["is_taken"]
 
+    def test_a_clock_and_noise_that_moves_the_scale_factors_are_found_together(self, orbit):
+        """3 uT of noise: the fit with noise in the reading keeps the clock that was taken before it."""
+        start = orbit.epoch_utc.astype("datetime64[s]")
+        sensor = SensorModel([2928.125, -1191.25, -1875.625], [1.032695, 1.006685, 1.032875], [-4.53, -1.067, 7.915])
+        disturbances = Disturbances(noise_nt=3000.0, time_offset_s=60.0)
+        samples = simulate(orbit, sensor, start, 86000.0, 10.0, disturbances=disturbances, seed=11).samples
+        got = calibrate(samples, [orbit], method="scalar", time_offset="estimate")
+        assert got.extras["noise_model_used"] == "white"
+        assert got.parameters.time_offset_s == pytest.approx(60.0, abs=4 * got.standard_errors.time_offset_s)
+        assert np.abs(got.parameters.scale - sensor.scale) / got.standard_errors.scale == pytest.approx(0, abs=4)
+
     @pytest.mark.parametrize("offset_s", [300.0, -1000.0, 20000.0])
     def test_a_clock_that_is_far_off_is_suspected_unasked_and_taken_where_it_is_asked_for(self, orbit, offset_s):
         samples = replace(self.flown(orbit, offset_s), q_base_gcrf=None)
