@@ -16,6 +16,7 @@ def choices_json() -> str:
     from magcal_core import options
     from magcal_core.calibration.estimators.registry import ESTIMATORS
     from magcal_core.field.models import FIELD_MODELS
+    from magcal_core.telemetry.formats import SUFFIXES, WRITERS, media_type_of
     from magcal_core.telemetry.time_forms import PARTS, WORDS
 
     named = {
@@ -34,6 +35,8 @@ def choices_json() -> str:
             {
                 "options": named,
                 "defaults": options.CalibrationOptions().to_dict(),
+                "formats": list(WRITERS),
+                "types": {ending: media_type_of(name) for ending, name in SUFFIXES.items()},
                 "units": [*NT_PER_UNIT, COUNTS],
                 "time_formats": {name: words for name, words in WORDS.items() if name not in PARTS or name == "doy"},
             }

@@ -117,7 +117,7 @@ def overview_page(request: Request) -> HTMLResponse:
 @router.get("/satellites/{satellite_id}")
 def satellite_page(satellite_id: str, request: Request) -> HTMLResponse:
     """Show a satellite: its history, sessions, parameter sets and orbits."""
-    return _page(request, "satellite.html", satellite_id, page_data.of_satellite(satellite_id))
+    return _page(request, "satellite.html", satellite_id, page_data.of_satellite(satellite_id), values=_choices())
 
 
 @router.get("/satellites/{satellite_id}/magnetometers")
@@ -137,7 +137,7 @@ def magnetometer_page(satellite_id: str, magnetometer_id: str, request: Request)
 @router.get("/sessions/{session_id}")
 def session_page(session_id: str, request: Request) -> HTMLResponse:
     """Show a session."""
-    return _page(request, "session.html", f"Session {session_id}", page_data.of_session(session_id))
+    return _page(request, "session.html", f"Session {session_id}", page_data.of_session(session_id), values=_choices())
 
 
 @router.get("/parameter-sets/{set_id}")

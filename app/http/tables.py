@@ -10,6 +10,7 @@ from fastapi import Request, Response
 from app.errors import NotAcceptableError
 from app.http.schemas import OneOf
 from magcal_core.telemetry import MEDIA_TYPES, READERS, WRITERS
+from magcal_core.telemetry.formats import media_type_of
 
 TableFormat = Annotated[str, OneOf(WRITERS)]
 """A format that tables are written in."""
@@ -18,7 +19,7 @@ ANYTHING: Final = frozenset({"*/*", "text/*", "application/*"})
 WRITTEN_TYPES: Final = {kind: form for kind, form in MEDIA_TYPES.items() if form in WRITERS}
 READ_TYPES: Final = {kind: form for kind, form in MEDIA_TYPES.items() if form in READERS}
 """Media types of tables that magcal writes, and of telemetry that it reads -> format."""
-OWN_TYPES: Final = {name: next(kind for kind, form in MEDIA_TYPES.items() if form == name) for name in WRITERS}
+OWN_TYPES: Final = {name: media_type_of(name) for name in WRITERS}
 """Format -> the media type that magcal answers with."""
 
 

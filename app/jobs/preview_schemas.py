@@ -2,25 +2,39 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, JsonValue
 
-from app.http.schemas import Filter, Identifier, Record, UtcTime
+from app.http.schemas import Filter, Identifier, OneOf, Record, UtcTime
+from app.records.calibration_options import FieldName, IndexGap, Method
+from magcal_core.options import (
+    BIAS_STEPS,
+    LOCKED_TERMS,
+    NOISE_MODELS,
+    ORBIT_MODELS,
+    RESPONSES,
+    ROBUST_LOSSES,
+    TIME_OFFSETS,
+)
 
 
 class PreviewQuery(Filter):
     """Options of the calibration; with none of them, those that a button without a form would take."""
 
-    method: Literal["scalar", "scalar-hooke-jeeves", "vector", "vector-closed-form"] | None = None
-    orbit: Literal["sgp4", "numerical"] | None = None
-    field: str | None = Field(None, max_length=64)
+    method: Method | None = None
+    orbit: Annotated[str, OneOf(ORBIT_MODELS)] | None = None
+    field: FieldName | None = None
     field_file: Identifier | None = Field(None, description="Coefficients, for a field with `file`.")
-    index_gap: Literal["refuse", "mean"] | None = None
+    index_gap: IndexGap | None = None
     quiet_only: bool | None = None
-    time_offset: Literal["auto", "none", "estimate"] | None = None
+    time_offset: Annotated[str, OneOf(TIME_OFFSETS)] | None = None
     regressors: str | None = Field(None, max_length=1000, description="Names, separated by commas, or `auto`.")
-    robust: Literal["auto", "none", "huber", "soft_l1", "cauchy", "tukey"] | None = None
+    response: Annotated[str, OneOf(RESPONSES)] | None = None
+    robust: Annotated[str, OneOf(ROBUST_LOSSES)] | None = None
+    noise_model: Annotated[str, OneOf(NOISE_MODELS)] | None = None
+    locked_terms: Annotated[str, OneOf(LOCKED_TERMS)] | None = None
+    bias_steps: Annotated[str, OneOf(BIAS_STEPS)] | None = Field(None, description="Steps of the bias inside the data.")
     max_orbit_age_days: float | None = Field(None, ge=0, le=36525)
 
     def asked(self) -> dict[str, object]:

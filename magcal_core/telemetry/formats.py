@@ -41,6 +41,11 @@ def format_of_name(name: str | PurePath) -> str | None:
     return SUFFIXES.get(suffixes[-1]) if suffixes else None
 
 
+def media_type_of(name: str) -> str:
+    """Return the content type of a format that magcal itself answers and sends it with."""
+    return next(media_type for media_type, known in MEDIA_TYPES.items() if known == name)
+
+
 def format_of_bytes(data: bytes) -> str:
     """Return the format that a body begins like."""
     for name in READERS:

@@ -1,32 +1,21 @@
 // One session: what it holds, how good it is, and a calibration of it.
-import { ago, agreement, api, causes, facts, field, fixed, form, grade, h, listed, may, option, section, short, show, start, tiles, time, title } from "./magcal.js";
+import { ago, agreement, api, causes, facts, fixed, form, grade, h, listed, may, section, short, show, start, tiles, time, title } from "./magcal.js";
 import { lines } from "./attention.js";
 import { follow } from "./job.js";
 import { live } from "./live.js";
 import { notes } from "./notes.js";
+import { choices, optionFields, optionsOf } from "./options.js";
 import { plot } from "./plot.js";
 import { previewOf } from "./preview.js";
 import { table } from "./table.js";
 
 const id = location.pathname.split("/")[2];
 
-function calibrate(session) {
+function calibrate() {
   const progress = h("div", { "aria-live": "polite" });
   const preview = previewOf(id);
-  const keeping = session.columns.filter((name) => !/^(time|[bq][wxyz]|ref_.*|[xyz]_km)$/.test(name));
-  const node = form([
-    field("method", "Method", {}, [option("scalar", "scalar (|B| only)"), option("vector", "vector (attitude)"),
-      option("scalar-hooke-jeeves", "scalar-hooke-jeeves"), option("vector-closed-form", "vector-closed-form")]),
-    field("orbit", "Orbit", {}, [option("sgp4"), option("numerical")]),
-    field("time_offset", "Clock offset", {}, [option("auto", "auto (old orbits)"), option("none"), option("estimate")]),
-    field("robust", "Outliers", {}, [option("auto", "auto (Tukey where rows are bad)"), option("none", "none (least squares)"), option("huber"), option("soft_l1"), option("cauchy"), option("tukey")]),
-    field("regressors", `Regressors${keeping.length ? ` (${keeping.join(", ")})` : ""}`, { placeholder: "none; names, or auto" }),
-    field("max_orbit_age_days", "Oldest orbit, days", { type: "number", min: 0, step: "any", placeholder: "14" }),
-  ], "Calibrate", async (values) => {
-    const body = { kind: "calibration", session_ids: [id], method: values.method, orbit: values.orbit, time_offset: values.time_offset, robust: values.robust };
-    const names = values.regressors.split(",").map((name) => name.trim()).filter(Boolean);
-    if (names.length) body.regressors = names[0] === "auto" ? "auto" : names;
-    if (values.max_orbit_age_days) body.max_orbit_age_days = Number(values.max_orbit_age_days);
+  const node = form(optionFields({ method: choices.defaults.method }), "Calibrate", async (values) => {
+    const body = { kind: "calibration", session_ids: [id], ...optionsOf(values) };
     const job = await api("/jobs", { method: "POST", json: body });
     progress.replaceChildren(follow(job, (ended) => {
       if (ended.state === "succeeded") location.href = `/parameter-sets/${ended.result.parameter_set_id}`;
@@ -75,7 +64,7 @@ start(async () => {
       ["gaps", quality.gaps === undefined ? "–" : String(quality.gaps), quality.gaps && quality.longest_gap_s ? `longest ${fixed(quality.longest_gap_s, 0)} s` : null]),
     session.state === "open" ? h("p", { class: "notice weak" }, "This session is open: further chunks may arrive.") : null,
     attentionPlace, failure(newest), section("Against the set in force", agrees(session)),
-    may("operate") && session.samples ? h("section", { id: "calibrate" }, h("h2", {}, "Calibrate"), calibrate(session)) : null,
+    may("operate") && session.samples ? h("section", { id: "calibrate" }, h("h2", {}, "Calibrate"), calibrate()) : null,
     setsPlace,
     section("Readings", plot(`/sessions/${id}/figures/raw`, "|B| as measured and its components", "Crosses are samples with a flag.", 360)),
     section("Coverage", plot(`/sessions/${id}/figures/coverage`, "Where on the body sphere the field was seen", "Two hemispheres of the sensor's axes, equal area; large blank regions leave parameters undetermined.", 400)),
@@ -85,7 +74,7 @@ start(async () => {
     notes(`/sessions/${id}`),
     section("Bytes", facts([["SHA-256", session.sha256 ? h("code", {}, session.sha256) : null], ["size", `${fixed(session.size_bytes, 0)} bytes`],
       ["received", `${time(session.created_at)} (${ago(session.created_at)})`], ["chunks", String(session.chunks.length)],
-      ["download", ["csv", "ndjson", "json", "parquet"].map((form) => [h("a", { href: `/api/v1/sessions/${id}/samples?format=${form}`, download: true }, form), " "])]])));
+      ["download", choices.formats.map((form) => [h("a", { href: `/api/v1/sessions/${id}/samples?format=${form}`, download: true }, form), " "])]])));
   attention();
   api(`/sessions/${id}/summary`).then((summary) => {
     measured.textContent = summary.b_min_nt === null ? "–" : `${fixed(summary.b_min_nt, 0)} … ${fixed(summary.b_max_nt, 0)}`;

@@ -1,13 +1,12 @@
 // Upload by drag and drop: what was wrong with a file stands at its rows, and how it is read can be chosen there.
 import { lookAt } from "./columns.js";
 import { api, h, option, problemTable, short } from "./magcal.js";
+import { choices } from "./options.js";
 
-const TYPES = { csv: "text/csv", txt: "text/csv", tsv: "text/csv", json: "application/json", ndjson: "application/x-ndjson",
-  jsonl: "application/x-ndjson", parquet: "application/vnd.apache.parquet" };
 
 export function uploader(satellite, magnetometers, sent = () => {}) {
   const results = h("div", { "aria-live": "polite" });
-  const input = h("input", { type: "file", multiple: true, id: "files", accept: ".csv,.tsv,.txt,.json,.ndjson,.jsonl,.parquet,.gz,.zst" });
+  const input = h("input", { type: "file", multiple: true, id: "files", accept: [...Object.keys(choices.types), ".gz", ".zst"].join(",") });
   const magnetometer = h("select", { id: "magnetometer" }, magnetometers.map((one) => option(one.id, `${one.id} (${one.unit})`)));
   const first = h("input", { type: "checkbox", id: "look-first" });
   const area = h("div", { class: "drop" },
@@ -63,7 +62,7 @@ export function uploader(satellite, magnetometers, sent = () => {}) {
 function headersOf(file) {
   const parts = file.name.toLowerCase().split(".");
   const packed = { gz: "gzip", zst: "zstd" }[parts.at(-1)];
-  const type = TYPES[parts.at(packed ? -2 : -1)] ?? "text/csv";
+  const type = choices.types[`.${parts.at(packed ? -2 : -1)}`] ?? "text/csv";
   return { "Content-Type": type, ...(packed ? { "Content-Encoding": packed } : {}) };
 }
 
