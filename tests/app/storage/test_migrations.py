@@ -1,14 +1,16 @@
 """The schema: up and down on both databases with rows in it, and equal to what the tables say."""
 
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
+import psycopg
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
-from sqlalchemy import JSON, MetaData, delete, insert, inspect, select, text
+from sqlalchemy import JSON, MetaData, delete, insert, inspect, make_url, select, text
 
 import app.aboard.tables
 import app.access.idempotency
@@ -138,11 +140,59 @@ def fill(database: Database, settings: Settings) -> None:
         ParameterSetRepository(session, SYSTEM).add(found, [row.id], blobs, store)
 
 
+@pytest.fixture(scope="module")
+def made_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[bool, Settings]]:
+    """Databases of the newest schema with something of every kind, by whether they are SQLite's."""
+    made: dict[bool, Settings] = {}
+    yield made
+    for settings in made.values():
+        if settings.database_url is not None:
+            with psycopg.connect(server_of(settings), autocommit=True) as connection:
+                connection.execute(f"DROP DATABASE {name_of(settings)} WITH (FORCE)".encode())
+
+
+@pytest.fixture
+def filled(settings, made_once, tmp_path_factory) -> Iterator[Database]:
+    """A copy of one that was filled once."""
+    is_sqlite = settings.database_url is None
+    if is_sqlite not in made_once:
+        url = None if is_sqlite else settings.database_url
+        if url is not None:
+            with psycopg.connect(server_of(settings), autocommit=True) as connection:
+                connection.execute(b"CREATE DATABASE filled_for_migrations")
+            url = make_url(url).set(database="filled_for_migrations").render_as_string(hide_password=False)
+        origin = Settings(data_dir=tmp_path_factory.mktemp("filled"), database_url=url)
+        opened = Database(origin)
+        upgrade(opened, origin)
+        fill(opened, origin)
+        opened.close()
+        made_once[is_sqlite] = origin
+    origin = made_once[is_sqlite]
+    if is_sqlite:
+        shutil.copytree(origin.data_dir, settings.data_dir, dirs_exist_ok=True)
+    else:
+        with psycopg.connect(server_of(settings), autocommit=True) as connection:
+            connection.execute(f"DROP DATABASE {name_of(settings)}".encode())
+            connection.execute(f"CREATE DATABASE {name_of(settings)} TEMPLATE {name_of(origin)}".encode())
+    opened = Database(settings)
+    yield opened
+    opened.close()
+
+
+def name_of(settings: Settings) -> str:
+    return str(make_url(str(settings.database_url)).database)
+
+
+def server_of(settings: Settings) -> str:
+    """Return the address of PostgreSQL's own database beside the settings' one."""
+    server = make_url(str(settings.database_url)).set(drivername="postgresql", database="postgres")
+    return server.render_as_string(hide_password=False)
+
+
 @pytest.mark.parametrize("revision", REVISIONS)
-def test_real_rows_survive_the_way_down_to_any_revision_and_up_again(database, settings, revision):
+def test_real_rows_survive_the_way_down_to_any_revision_and_up_again(filled, settings, revision):
     """F22: what a revision knows is there, to the value, when the way has led through it; jobs keep their order."""
-    upgrade(database, settings)
-    fill(database, settings)
+    database = filled
     before = rows_of(database)
     assert all(before[name] for name in ("satellite", "magnetometer", "orbit", "session", "chunk", "blob_part", "job"))
     assert [one["moments_sha256"] for one in before["parameter_set"]] == [digest(b"moments")]
@@ -180,10 +230,9 @@ def test_what_a_revision_wrote_and_read_goes_on_under_the_next(database, setting
 
 
 @pytest.mark.parametrize("revision", REVISIONS)
-def test_rows_that_a_revision_writes_into_the_newest_schema_are_read_by_both(database, settings, revision):
+def test_rows_that_a_revision_writes_into_the_newest_schema_are_read_by_both(filled, settings, revision):
     """F22: the tables as that revision knew them, over the newest schema; its jobs are taken up by today's workers."""
-    upgrade(database, settings)
-    fill(database, settings)
+    database = filled
     migrate(database, revision)
     theirs, rows = tables_of(database), rows_of(database)
     upgrade(database, settings)
