@@ -14,11 +14,14 @@ from sqlalchemy import select
 
 from app.access.caller import SYSTEM
 from app.connectors.http import SourceAnswerError, SourceContentError
+from app.connectors.tables import ConnectorMark
 from app.connectors.telemetry.contract import PullOptionError, Wanted, instant
 from app.connectors.telemetry.pull import Pull
 from app.connectors.telemetry.registry import ARCHIVES
 from app.connectors.telemetry.satnogs import SatNogs
+from app.errors import ConflictError
 from app.jobs.engines.embedded import EmbeddedQueue
+from app.maintenance.satellite_removal import holdings_of, remove_satellite
 from app.satellites.tables import Magnetometer, Satellite
 from app.sessions.repository import SessionRepository, samples_of
 from app.sessions.tables import TelemetrySession
@@ -238,6 +241,35 @@ def test_a_pull_goes_on_where_it_stopped_and_a_gap_is_passed(database, settings,
     assert sum(one.rows for one in pull_of(database, settings, "yamcs", wanted).run()) == 0
     assert len(fake.asked) - asked <= 1
     assert sorted(numbers(database, settings)) == list(range(100))
+
+
+def make_anew(database: Database) -> None:
+    """Remove the satellite with all it has, and make one of the same name."""
+    with database.write() as session:
+        remove_satellite(session, SYSTEM, "sat", holdings_of(session, SYSTEM, "sat").confirmation("sat"))
+    with database.write() as session:
+        session.add(Satellite(id="sat", norad_id="99999", created_at=utc_now()))
+        session.flush()
+        session.add(Magnetometer(satellite_id="sat", id="mgm", unit="nT", created_at=utc_now()))
+
+
+def test_a_satellite_that_is_made_anew_is_pulled_from_the_start(database, settings, serve):
+    """The mark goes with the satellite; a pull that was under way ends instead of going on behind what is gone."""
+    fake = serve(yamcs(5000, 10.0))
+    wanted = Wanted(fake.url, MAP, "sim", BEGIN)
+    assert sum(one.rows for one in pull_of(database, settings, "yamcs", wanted).run()) == 5000
+    make_anew(database)
+    pages = pull_of(database, settings, "yamcs", wanted).run()
+    assert next(pages).rows == 2160
+    make_anew(database)
+    with pytest.raises(ConflictError, match="removed and made anew"):
+        next(pages)
+    assert numbers(database, settings) == []
+    assert sum(one.rows for one in pull_of(database, settings, "yamcs", wanted).run()) == 5000
+    assert sorted(numbers(database, settings)) == list(range(5000))
+    with database.write() as session:
+        remove_satellite(session, SYSTEM, "sat", holdings_of(session, SYSTEM, "sat").confirmation("sat"))
+        assert session.scalars(select(ConnectorMark)).all() == []
 
 
 class Frames:
