@@ -68,7 +68,7 @@ class Pull:
             with self._database.read() as session:
                 row = session.get(ConnectorMark, self.name)
             self._reached = None if row is None else row.mark
-            for page in self._archive.pages(self._wanted, self._reached, utc_now()):
+            for page in self._archive.pages(self._wanted, self._reached, utc_now() - self._wanted.settle):
                 kept = self._keep(page)
                 self._reached = page.mark
                 yield kept
