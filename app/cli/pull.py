@@ -6,6 +6,7 @@ import json
 import signal
 import sys
 import threading
+from datetime import timedelta
 from pathlib import Path
 from typing import Final
 
@@ -40,6 +41,9 @@ def _columns(text: str | None) -> dict[str, str]:
 @click.option("--since", help="Where the first pull begins, ISO 8601 with a zone.")
 @click.option("--history", is_flag=True, help="Yamcs: the history of each parameter, page by page, not the export.  "
               "[default: where there is no export]")  # fmt: skip
+@click.option("--settle", type=click.FloatRange(0.0, 10_000.0), default=0.0, metavar="HOURS",
+              help="Leave for later what is younger: recordings that come down with a pass, frames of slow stations.  "
+              "[default: 0]")  # fmt: skip
 @click.option("--token", envvar="MAGCAL_PULL_TOKEN", help="The archive's token; better in MAGCAL_PULL_TOKEN.")
 @click.option("--once", is_flag=True, help="Pull what there is now, and exit.")
 def command(
@@ -52,6 +56,7 @@ def command(
     dataset: str | None,
     since: str | None,
     history: bool,
+    settle: float,
     token: str | None,
     once: bool,
 ) -> None:
@@ -68,7 +73,7 @@ def command(
         begin = None if since is None else instant(since)
     except ValueError as error:
         raise click.BadParameter("want a time in ISO 8601, such as 2026-11-22T10:00:00Z") from error
-    wanted = Wanted(base_url, _columns(columns), dataset, begin, token, history)
+    wanted = Wanted(base_url, _columns(columns), dataset, begin, token, history, timedelta(hours=settle))
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())

@@ -11,14 +11,23 @@ from app.storage.database import Base
 
 
 class ConnectorRequest(Base):
-    """One request to a source: written down before it is sent, so that a kill does not let it be sent again."""
+    """One request to a source: written down before it is sent, so that a kill does not let it be sent again.
+
+    It stays under the catalogue number when the satellite is removed: the source was asked all the same. One without a
+    number is from before they were kept.
+    """
 
     __tablename__ = "connector_request"
-    __table_args__ = (Index(None, "source", "satellite_id", "asked_at"), Index(None, "source", "asked_at"))
+    __table_args__ = (
+        Index(None, "source", "satellite_id", "asked_at"),
+        Index(None, "source", "catalogue_number", "asked_at"),
+        Index(None, "source", "asked_at"),
+    )
 
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
     source: Mapped[str] = mapped_column(String(32))
-    satellite_id: Mapped[str] = mapped_column(ForeignKey("satellite.id"))
+    satellite_id: Mapped[str | None] = mapped_column(ForeignKey("satellite.id"))
+    catalogue_number: Mapped[str | None] = mapped_column(String(16))
     asked_at: Mapped[datetime]
     outcome: Mapped[str | None] = mapped_column(String(500))
 
@@ -34,10 +43,11 @@ class ConnectorStop(Base):
 
 
 class ConnectorMark(Base):
-    """How far a pull of telemetry has come; moved in the transaction that keeps what was pulled."""
+    """How far a pull has come; moved in the transaction that keeps what was pulled, and removed with its satellite."""
 
     __tablename__ = "connector_mark"
 
     name: Mapped[str] = mapped_column(String(200), primary_key=True)
+    satellite_id: Mapped[str | None] = mapped_column(ForeignKey("satellite.id"))
     mark: Mapped[str] = mapped_column(Text)
     updated_at: Mapped[datetime]

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Final
 
-from sqlalchemy import ColumnElement, Table, delete, func, or_, select
+from sqlalchemy import ColumnElement, Table, delete, func, or_, select, update
 from sqlalchemy.orm import Session
 
 from app.access.audit_trail import record_event
@@ -30,6 +30,8 @@ from app.storage.store import columns_key, moments_key, raw_key, residuals_key, 
 
 KEPT: Final = frozenset({"audit_event", "object_to_remove"})
 """Tables whose rows outlive their satellite: what was done, and what is still to be removed."""
+UNNAMED: Final = frozenset({"connector_request"})
+"""Tables whose rows outlive it without its name: that a source was asked counts all the same."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +101,11 @@ def remove_satellite(session: Session, caller: Caller, satellite_id: str, confir
     for table in reversed(Base.metadata.sorted_tables):
         which = _rows_of(table, satellite_id)
         if which is not None:
-            session.execute(delete(table).where(which))
+            session.execute(
+                update(table).where(which).values(satellite_id=None)
+                if table.name in UNNAMED
+                else delete(table).where(which)
+            )
     for parent_id in sorted(str(one) for one in parents):
         settle(session, parent_id)
     record_event(session, caller, "satellite.remove", satellite_id, satellite_id)

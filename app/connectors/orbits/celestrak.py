@@ -6,7 +6,7 @@ from typing import Final
 from urllib.parse import urlsplit
 
 from app.connectors.http import SourceClient, SourceContentError, require_no_page
-from app.connectors.orbits.contract import Limit, Reply, Watched, catalogue_number
+from app.connectors.orbits.contract import Limit, Reply, Watched
 from app.settings import Settings
 
 PATH: Final = "/NORAD/elements/gp.php"
@@ -17,13 +17,13 @@ class CelesTrak:
 
     limits: tuple[Limit, ...] = ()
 
-    def ask(self, settings: Settings, satellite: Watched) -> Reply:
+    def ask(self, settings: Settings, watched: Watched) -> Reply:
         """Return the newest elements of a satellite."""
         base = settings.celestrak_url.rstrip("/")
         url = base if urlsplit(base).path.endswith(".php") else f"{base}{PATH}"
         client = SourceClient(url)
         try:
-            body = client.get(url, {"CATNR": catalogue_number(satellite), "FORMAT": "json"})
+            body = client.get(url, {"CATNR": watched.catalogue_number, "FORMAT": "json"})
         finally:
             client.close()
         if require_no_page(body).lstrip()[:1] != b"[":

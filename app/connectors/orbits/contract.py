@@ -11,11 +11,10 @@ from app.settings import Settings
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """A satellite whose orbit is kept fresh, and what catalogues know it by."""
+    """An object whose orbit is kept fresh: its number, digits only, as catalogues take it, and the satellites it is."""
 
-    satellite_id: str
-    norad_id: str | None
-    cospar_id: str | None
+    catalogue_number: str
+    satellite_ids: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,12 +34,12 @@ class Reply:
 
 
 class OrbitSource(Protocol):
-    """One source: its limits beside that of each satellite, and how it is asked."""
+    """One source: its limits beside that of each object, and how it is asked."""
 
     limits: tuple[Limit, ...]
 
-    def ask(self, settings: Settings, satellite: Watched) -> Reply:
-        """Return what the source has of a satellite; the errors are those of `app.connectors.http`."""
+    def ask(self, settings: Settings, watched: Watched) -> Reply:
+        """Return what the source has of an object; the errors are those of `app.connectors.http`."""
         ...
 
 
@@ -48,11 +47,6 @@ class OrbitSource(Protocol):
 class PastSource(Protocol):
     """A source that also has the elements of the past."""
 
-    def ask_between(self, settings: Settings, satellite: Watched, first: date, last: date) -> Reply | None:
-        """Return what the source has of a satellite from one day to another (not included), None where nothing."""
+    def ask_between(self, settings: Settings, watched: Watched, first: date, last: date) -> Reply | None:
+        """Return what the source has of an object from one day to another (not included), None where nothing."""
         ...
-
-
-def catalogue_number(satellite: Watched) -> str:
-    """Return the satellite's catalogue number, digits only, as sources take it."""
-    return (satellite.norad_id or "").lstrip("0") or "0"

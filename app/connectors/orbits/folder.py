@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from app.connectors.http import SourceContentError
-from app.connectors.orbits.contract import Limit, Reply, Watched, catalogue_number
+from app.connectors.orbits.contract import Limit, Reply, Watched
 from app.settings import Settings
 
 ENDINGS: Final = {".json": "application/json", ".xml": "application/xml"}
@@ -17,11 +17,11 @@ class Folder:
 
     limits: tuple[Limit, ...] = ()
 
-    def ask(self, settings: Settings, satellite: Watched) -> Reply:
+    def ask(self, settings: Settings, watched: Watched) -> Reply:
         """Return the newest file of a satellite."""
         if settings.orbit_folder is None or not settings.orbit_folder.is_dir():
             raise SourceContentError("MAGCAL_ORBIT_FOLDER is not a folder")
-        names = {satellite.satellite_id, catalogue_number(satellite)}
+        names = {*watched.satellite_ids, watched.catalogue_number}
         own = [one for one in settings.orbit_folder.iterdir() if one.is_file() and one.name.partition(".")[0] in names]
         if not own:
             raise SourceContentError("there is no file of this satellite in the folder")

@@ -66,7 +66,8 @@ def note(session: Session, source: str, satellite_id: str, span: Span) -> None:
     """Write down that ``source`` was asked for ``span``, and has answered."""
     spans = [[str(one.first), str(one.last)] for one in (*_asked(session, source, satellite_id), span)]
     name = _name(session, source, satellite_id)
-    session.merge(ConnectorMark(name=name, mark=json.dumps(spans), updated_at=utc_now()))
+    mark = json.dumps(spans)
+    session.merge(ConnectorMark(name=name, satellite_id=satellite_id, mark=mark, updated_at=utc_now()))
 
 
 def _name(session: Session, source: str, satellite_id: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 from app.connectors.http import SourceClient, SourceContentError, require_no_page
-from app.connectors.orbits.contract import Limit, Reply, Watched, catalogue_number
+from app.connectors.orbits.contract import Limit, Reply, Watched
 from app.settings import Settings
 
 
@@ -14,12 +14,12 @@ class SatNogs:
 
     limits: tuple[Limit, ...] = (Limit(30, 60.0),)
 
-    def ask(self, settings: Settings, satellite: Watched) -> Reply:
+    def ask(self, settings: Settings, watched: Watched) -> Reply:
         """Return the elements that SatNOGS holds the best of a satellite's."""
         base = settings.satnogs_url.rstrip("/")
         client = SourceClient(base)
         try:
-            body = client.get(f"{base}/api/tle/", {"norad_cat_id": catalogue_number(satellite), "format": "json"})
+            body = client.get(f"{base}/api/tle/", {"norad_cat_id": watched.catalogue_number, "format": "json"})
         finally:
             client.close()
         try:

@@ -6,7 +6,7 @@ import json
 from datetime import date
 
 from app.connectors.http import SourceClient, SourceContentError, require_no_page
-from app.connectors.orbits.contract import Limit, Reply, Watched, catalogue_number
+from app.connectors.orbits.contract import Limit, Reply, Watched
 from app.settings import Settings
 
 
@@ -15,18 +15,18 @@ class SpaceTrack:
 
     limits: tuple[Limit, ...] = (Limit(15, 60.0), Limit(150, 3600.0))
 
-    def ask(self, settings: Settings, satellite: Watched) -> Reply:
+    def ask(self, settings: Settings, watched: Watched) -> Reply:
         """Return the newest elements of a satellite."""
-        query = f"class/gp/NORAD_CAT_ID/{catalogue_number(satellite)}/orderby/EPOCH%20desc/limit/1/format/json"
+        query = f"class/gp/NORAD_CAT_ID/{watched.catalogue_number}/orderby/EPOCH%20desc/limit/1/format/json"
         body = _answer(settings, query)
         if not _elements(body):
             raise SourceContentError("Space-Track has no elements of this catalogue number")
         return Reply(body, "application/json")
 
-    def ask_between(self, settings: Settings, satellite: Watched, first: date, last: date) -> Reply | None:
+    def ask_between(self, settings: Settings, watched: Watched, first: date, last: date) -> Reply | None:
         """Return the elements with epochs from the day ``first`` up to the day ``last``."""
         query = (
-            f"class/gp_history/NORAD_CAT_ID/{catalogue_number(satellite)}/EPOCH/{first}--{last}/orderby/EPOCH%20asc/"
+            f"class/gp_history/NORAD_CAT_ID/{watched.catalogue_number}/EPOCH/{first}--{last}/orderby/EPOCH%20asc/"
             "format/json"
         )
         body = _answer(settings, query)

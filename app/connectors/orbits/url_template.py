@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.connectors.http import SourceClient, SourceContentError, require_no_page
-from app.connectors.orbits.contract import Limit, Reply, Watched, catalogue_number
+from app.connectors.orbits.contract import Limit, Reply, Watched
 from app.settings import Settings
 
 
@@ -12,11 +12,11 @@ class UrlTemplate:
 
     limits: tuple[Limit, ...] = ()
 
-    def ask(self, settings: Settings, satellite: Watched) -> Reply:
+    def ask(self, settings: Settings, watched: Watched) -> Reply:
         """Return what is at the satellite's address."""
         if settings.orbit_url is None or "{norad_id}" not in settings.orbit_url:
             raise SourceContentError("MAGCAL_ORBIT_URL wants an address with {norad_id} in it")
-        url = settings.orbit_url.replace("{norad_id}", catalogue_number(satellite))
+        url = settings.orbit_url.replace("{norad_id}", watched.catalogue_number)
         client = SourceClient(url)
         try:
             body = require_no_page(client.get(url))

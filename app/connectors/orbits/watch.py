@@ -1,7 +1,8 @@
 """Keep every satellite's orbit fresh, with the manners that catalogues ask for.
 
-One request a satellite in `MAGCAL_ORBIT_EVERY_H` hours, whatever is restarted or killed meanwhile: it is written down
-before it is sent. Any answer but 200 stops the source until a person starts it again. One process at a time asks.
+One request an object in `MAGCAL_ORBIT_EVERY_H` hours, whatever is restarted, killed or removed meanwhile: it is written
+down before it is sent, and satellites of one catalogue number share the answer. Any answer but 200 stops the source
+until a person starts it again. One process at a time asks.
 Where a source has the past, too, the elements about sessions that no orbit is near are fetched, each span once.
 """
 
@@ -14,7 +15,7 @@ from random import SystemRandom
 from typing import Final
 
 import structlog
-from sqlalchemy import func, select
+from sqlalchemy import ColumnElement, func, or_, select
 from sqlalchemy.orm import Session
 
 from app.access.audit_trail import record_event
@@ -24,10 +25,13 @@ from app.connectors.orbits import past
 from app.connectors.orbits.contract import OrbitSource, PastSource, Reply, Watched
 from app.connectors.orbits.registry import ORBIT_SOURCES
 from app.connectors.tables import ConnectorRequest, ConnectorStop
+from app.errors import NotFoundError
+from app.orbits.objects import difference
 from app.orbits.parsing import ParsedOrbit, parse_message
 from app.orbits.repository import OrbitRepository
 from app.outbox.events import Event, attention_changed
 from app.outbox.log import append
+from app.satellites.repository import SatelliteRepository
 from app.satellites.tables import Satellite
 from app.settings import Settings
 from app.storage.database import Database, new_id, utc_now
@@ -35,7 +39,7 @@ from app.storage.exclusive import Exclusive
 from magcal_core.errors import MagcalError
 
 JITTER: Final = 0.1
-"""Requests of one satellite are up to so much (share) further apart than they may be, so that fleets part."""
+"""Requests about one object are up to so much (share) further apart than they may be, so that fleets part."""
 BETWEEN_S: Final = (0.2, 1.0)
 KEEP_REQUESTS: Final = timedelta(days=30)
 PAST_EVERY_H: Final = 2.0
@@ -103,39 +107,45 @@ class OrbitWatch:
         if not self._right.acquire():
             return []
         found: list[Asked] = []
-        for satellite in self._satellites():
-            if self._begin(satellite, self._name, self._settings.orbit_every_h):
-                found.append(self._ask(satellite))
+        for watched in self._watched():
+            if self._begin(watched, self._name, self._settings.orbit_every_h):
+                found += self._ask(watched)
                 self._pause(SystemRandom().uniform(*BETWEEN_S))
             else:
-                found.append(Asked(satellite.satellite_id, "not yet"))
-            found += self._ask_past(satellite)
+                found += [Asked(satellite_id, "not yet") for satellite_id in watched.satellite_ids]
+            for satellite_id in watched.satellite_ids:
+                found += self._ask_past(watched, satellite_id)
             with self._database.read() as session:
                 if stopped(session, self._name) is not None:
                     break
         return found
 
-    def _satellites(self) -> list[Watched]:
+    def _watched(self) -> list[Watched]:
+        """Return every object that has satellites here, in the order of the first satellite of each."""
+        found: dict[str, list[str]] = {}
         with self._database.read() as session:
             rows = session.scalars(select(Satellite).where(Satellite.norad_id.is_not(None)).order_by(Satellite.id))
-            return [Watched(row.id, row.norad_id, row.cospar_id) for row in rows]
+            for row in rows:
+                found.setdefault((row.norad_id or "").lstrip("0") or "0", []).append(row.id)
+        return [Watched(number, tuple(own)) for number, own in found.items()]
 
-    def _begin(self, satellite: Watched, ledger: str, every_h: float) -> bool:
-        """Return whether the satellite may be asked for now, which is written down then."""
-        return self._database.transact(lambda session: self._noted(session, satellite, ledger, every_h))
+    def _begin(self, watched: Watched, ledger: str, every_h: float) -> bool:
+        """Return whether an object may be asked for now, which is written down then."""
+        return self._database.transact(lambda session: self._noted(session, watched, ledger, every_h))
 
-    def _noted(self, session: Session, satellite: Watched, ledger: str, every_h: float) -> bool:
+    def _noted(self, session: Session, watched: Watched, ledger: str, every_h: float) -> bool:
         now = utc_now()
-        if stopped(session, self._name) is not None or not self._may(session, satellite, ledger, every_h, now):
+        if stopped(session, self._name) is not None or not self._may(session, watched, ledger, every_h, now):
             return False
-        session.add(ConnectorRequest(id=new_id(), source=ledger, satellite_id=satellite.satellite_id, asked_at=now))
+        first, number = watched.satellite_ids[0], watched.catalogue_number
+        session.add(
+            ConnectorRequest(id=new_id(), source=ledger, satellite_id=first, catalogue_number=number, asked_at=now)
+        )
         return True
 
-    def _may(self, session: Session, satellite: Watched, ledger: str, every_h: float, now: datetime) -> bool:
+    def _may(self, session: Session, watched: Watched, ledger: str, every_h: float, now: datetime) -> bool:
         last = session.scalar(
-            select(func.max(ConnectorRequest.asked_at)).where(
-                ConnectorRequest.source == ledger, ConnectorRequest.satellite_id == satellite.satellite_id
-            )
+            select(func.max(ConnectorRequest.asked_at)).where(ConnectorRequest.source == ledger, _is_about(watched))
         )
         spread = 1.0 + SystemRandom().uniform(0.0, JITTER)
         if last is not None and now < last + timedelta(hours=every_h * spread):
@@ -148,63 +158,74 @@ class OrbitWatch:
                 return False
         return True
 
-    def _ask(self, satellite: Watched) -> Asked:
-        asked = self._orbits(satellite, self._name, lambda: self._source.ask(self._settings, satellite))
-        if isinstance(asked, Asked):
-            return asked
-        of = satellite.satellite_id
-        _, is_new = self._database.transact(lambda session: OrbitRepository(session, SYSTEM, of).add(asked))
-        return self._note(satellite, self._name, "new" if is_new else "known", None)
+    def _ask(self, watched: Watched) -> list[Asked]:
+        answer = self._orbits(lambda: self._source.ask(self._settings, watched))
+        kept = [self._kept(satellite_id, answer) for satellite_id in watched.satellite_ids]
+        return self._note(watched, self._name, kept)
 
-    def _ask_past(self, satellite: Watched) -> list[Asked]:
+    def _kept(self, satellite_id: str, answer: list[ParsedOrbit] | str) -> Asked:
+        """Return what became of an answer, orbits or why there are none, for one of the satellites."""
+        if isinstance(answer, str):
+            return Asked(satellite_id, "failed", answer)
+        try:
+            is_new = self._database.transact(lambda session: _add(session, satellite_id, answer))
+        except (SourceContentError, NotFoundError) as error:
+            return Asked(satellite_id, "failed", error.message)
+        return Asked(satellite_id, "new" if is_new else "known")
+
+    def _ask_past(self, watched: Watched, satellite_id: str) -> list[Asked]:
         """Return what became of the elements about sessions of the past; nothing where none are lacking."""
         source = self._source
         if not isinstance(source, PastSource):
             return []
         with self._database.read() as session:
-            span = past.lacking(session, self._name, satellite.satellite_id)
-        if span is None or not self._begin(satellite, self._past_ledger, PAST_EVERY_H):
+            span = past.lacking(session, self._name, satellite_id)
+        if span is None or not self._begin(watched, self._past_ledger, PAST_EVERY_H):
             return []
-        asked = self._orbits(
-            satellite,
-            self._past_ledger,
-            lambda: source.ask_between(self._settings, satellite, span.first, span.last),
-        )
+        answer = self._orbits(lambda: source.ask_between(self._settings, watched, span.first, span.last))
         self._pause(SystemRandom().uniform(*BETWEEN_S))
-        if isinstance(asked, Asked):
-            return [asked]
-        self._database.transact(lambda session: self._keep_past(session, satellite, span, asked))
-        return [self._note(satellite, self._past_ledger, "past" if asked else "no past", None)]
+        return self._note(watched, self._past_ledger, [self._kept_past(satellite_id, span, answer)])
 
-    def _keep_past(self, session: Session, satellite: Watched, span: past.Span, orbits: list[ParsedOrbit]) -> None:
+    def _kept_past(self, satellite_id: str, span: past.Span, answer: list[ParsedOrbit] | str) -> Asked:
+        if isinstance(answer, str):
+            return Asked(satellite_id, "failed", answer)
+        try:
+            self._database.transact(lambda session: self._keep_past(session, satellite_id, span, answer))
+        except (SourceContentError, NotFoundError) as error:
+            return Asked(satellite_id, "failed", error.message)
+        return Asked(satellite_id, "past" if answer else "no past")
+
+    def _keep_past(self, session: Session, satellite_id: str, span: past.Span, orbits: list[ParsedOrbit]) -> None:
         if orbits:
-            OrbitRepository(session, SYSTEM, satellite.satellite_id).add(orbits)
-        past.note(session, self._name, satellite.satellite_id, span)
+            _add(session, satellite_id, orbits)
+        past.note(session, self._name, satellite_id, span)
 
-    def _orbits(self, satellite: Watched, ledger: str, ask: Callable[[], Reply | None]) -> list[ParsedOrbit] | Asked:
-        """Return the satellite's orbits of an answer, none where the source has none; or what went wrong."""
+    def _orbits(self, ask: Callable[[], Reply | None]) -> list[ParsedOrbit] | str:
+        """Return the orbits of an answer, none where the source has none; or what went wrong."""
         try:
             reply = ask()
-            return [] if reply is None else own_orbits(parse_message(reply.body, reply.media_type), satellite)
+            return [] if reply is None else parse_message(reply.body, reply.media_type)
         except SourceAnswerError as error:
             self._stop(error.message)
-            return self._note(satellite, ledger, "failed", error.message)
+            return error.message
         except (SourceUnreachableError, SourceContentError) as error:
-            return self._note(satellite, ledger, "failed", error.message)
+            return error.message
         except MagcalError as error:
-            why = f"what it answered cannot be read: {error.code}: {error.message}"
-            return self._note(satellite, ledger, "failed", why)
+            return f"what it answered cannot be read: {error.code}: {error.message}"
 
-    def _note(self, satellite: Watched, ledger: str, state: str, why: str | None) -> Asked:
-        self._database.transact(lambda session: self._write_down(session, satellite, ledger, (why or state)[:500]))
-        if why is not None:
-            log.warning("orbit_not_fetched", source=ledger, satellite=satellite.satellite_id, why=why)
-        return Asked(satellite.satellite_id, state, why)
+    def _note(self, watched: Watched, ledger: str, found: list[Asked]) -> list[Asked]:
+        """Return ``found``, what came of the latest request about an object, once it is written down."""
+        outcome = "; ".join(dict.fromkeys(one.why or one.state for one in found))[:500]
+        self._database.transact(lambda session: self._write_down(session, watched, ledger, outcome))
+        for one in found:
+            if one.why is not None:
+                log.warning("orbit_not_fetched", source=ledger, satellite=one.satellite_id, why=one.why)
+        return found
 
-    def _write_down(self, session: Session, satellite: Watched, ledger: str, outcome: str) -> None:
-        """Keep what came of the latest request for a satellite, and forget requests that are old."""
+    def _write_down(self, session: Session, watched: Watched, ledger: str, outcome: str) -> None:
+        """Keep what came of the latest request about an object, and forget requests that are old."""
         mine = ConnectorRequest.source == ledger
-        own = select(ConnectorRequest).where(mine, ConnectorRequest.satellite_id == satellite.satellite_id)
+        own = select(ConnectorRequest).where(mine, _is_about(watched))
         session.scalars(own.order_by(ConnectorRequest.asked_at.desc()).limit(1)).one().outcome = outcome
         old = ConnectorRequest.asked_at < utc_now() - KEEP_REQUESTS
         for row in session.scalars(select(ConnectorRequest).where(old, mine)):
@@ -221,25 +242,31 @@ class OrbitWatch:
         append(session, [_attention(self._name, why, is_raised=True)])
 
 
-def own_orbits(orbits: list[ParsedOrbit], satellite: Watched) -> list[ParsedOrbit]:
-    """Return those of ``orbits`` that are the satellite's.
+def _is_about(watched: Watched) -> ColumnElement[bool]:
+    """Return the condition that tells the requests about an object."""
+    row = ConnectorRequest
+    return or_(
+        row.catalogue_number == watched.catalogue_number,
+        row.catalogue_number.is_(None) & row.satellite_id.in_(watched.satellite_ids),
+    )
+
+
+def _add(session: Session, satellite_id: str, orbits: list[ParsedOrbit]) -> bool:
+    """Keep those of ``orbits`` that are the satellite's; return whether one of them is new.
 
     Raises
     ------
     SourceContentError
-        There are some, and all are another object's.
+        All are another object's.
+    NotFoundError
+        The satellite has been removed.
     """
-    own = [one for one in orbits if _is_own(one, satellite)]
+    satellite = SatelliteRepository(session, SYSTEM).get(satellite_id)
+    others = [difference(satellite, one.details) for one in orbits]
+    own = [one for one, other in zip(orbits, others, strict=True) if other is None]
     if not own:
-        raise SourceContentError("the orbits are those of another object than the satellite")
-    return own
-
-
-def _is_own(orbit: ParsedOrbit, satellite: Watched) -> bool:
-    norad, cospar = orbit.details.get("norad_id"), orbit.details.get("cospar_id")
-    if norad is not None and satellite.norad_id is not None:
-        return str(norad).lstrip("0") == satellite.norad_id.lstrip("0")
-    return cospar is None or satellite.cospar_id is None or cospar == satellite.cospar_id
+        raise SourceContentError(f"the orbits are those of another object than the satellite: {others[0]}")
+    return OrbitRepository(session, SYSTEM, satellite_id).add(own)[1]
 
 
 def _attention(source: str, reason: str, *, is_raised: bool) -> Event:

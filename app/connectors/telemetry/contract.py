@@ -27,7 +27,8 @@ class Wanted:
 
     ``columns`` maps a column of the telemetry table to a name of the archive; ``since`` is where a first pull begins.
     ``dataset`` is the archive's own word for what is asked: Yamcs' instance, HAPI's dataset, SatNOGS' NORAD id.
-    ``by_history``: Yamcs' history of each parameter, page by page, instead of its export of a table.
+    ``by_history``: Yamcs' history of each parameter, page by page, instead of its export of a table. ``settle``: what
+    is younger may still be on its way, and is left for a later pull.
     """
 
     base_url: str
@@ -36,6 +37,7 @@ class Wanted:
     since: datetime | None = None
     token: str | None = field(default=None, repr=False)
     by_history: bool = False
+    settle: timedelta = timedelta()
 
     @property
     def names(self) -> list[str]:
@@ -55,7 +57,10 @@ class Archive(Protocol):
     """One kind of archive."""
 
     def pages(self, wanted: Wanted, mark: str | None, now: datetime) -> Iterator[Page]:
-        """Yield what is behind ``mark`` (None: from ``wanted.since``), in an order in which a kill loses nothing."""
+        """Yield what is behind ``mark`` (None: from ``wanted.since``) and not younger than ``now``.
+
+        In an order in which a kill loses nothing.
+        """
         ...
 
 

@@ -51,6 +51,7 @@ class Pull:
         place = hashlib.sha256(f"{wanted.base_url} {wanted.dataset}".encode()).hexdigest()[:16]
         self.name = f"{self._kind}/{satellite_id}/{magnetometer_id}/{place}"
         self._right = Exclusive(database, settings, f"pull-{self.name.replace('/', '-')}")
+        self._reached: str | None = None
         self._wanted, self._columns = self._with_columns(wanted)
 
     def run(self) -> Iterator[Pulled]:
@@ -59,15 +60,18 @@ class Pull:
         Raises
         ------
         ConflictError
-            Another process pulls the same.
+            Another process pulls the same, or the satellite has been removed and made anew meanwhile.
         """
         if not self._right.acquire():
             raise ConflictError("another process pulls the same telemetry")
         try:
             with self._database.read() as session:
                 row = session.get(ConnectorMark, self.name)
-            for page in self._archive.pages(self._wanted, None if row is None else row.mark, utc_now()):
-                yield self._keep(page)
+            self._reached = None if row is None else row.mark
+            for page in self._archive.pages(self._wanted, self._reached, utc_now() - self._wanted.settle):
+                kept = self._keep(page)
+                self._reached = page.mark
+                yield kept
         finally:
             self._right.release()
 
@@ -114,4 +118,9 @@ class Pull:
             self._mark(session, mark)
 
     def _mark(self, session: Session, mark: str) -> None:
-        session.merge(ConnectorMark(name=self.name, mark=mark, updated_at=utc_now()))
+        """Move the mark from where this pull has it; it is elsewhere where the satellite was removed and made anew."""
+        row = session.get(ConnectorMark, self.name)
+        if (None if row is None else row.mark) not in {self._reached, mark}:
+            raise ConflictError("the satellite has been removed and made anew: its pull begins from the start")
+        now = utc_now()
+        session.merge(ConnectorMark(name=self.name, satellite_id=self._place[0], mark=mark, updated_at=now))

@@ -37,8 +37,9 @@ class SatNogs:
         try:
             while True:
                 frames, following = self._page(client, wanted, state)
-                rows, is_over = _fresh(frames, wanted, state.get("since"))
-                state["until"] = state.get("until") or (str(frames[0]["timestamp"]) if frames else None)
+                settled = [one for one in frames if instant(str(one["timestamp"])) <= now]
+                rows, is_over = _fresh(settled, wanted, state.get("since"))
+                state["until"] = state.get("until") or (str(settled[0]["timestamp"]) if settled else None)
                 state["next"] = None if is_over else following
                 if state["next"] is None:
                     state = {"since": state["until"] or state.get("since")}

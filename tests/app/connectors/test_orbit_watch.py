@@ -15,9 +15,11 @@ import numpy as np
 import pytest
 from sqlalchemy import select, update
 
+from app.access.caller import SYSTEM
 from app.connectors.orbits.registry import ORBIT_SOURCES
 from app.connectors.orbits.watch import OrbitWatch, start_again, stopped, stopped_sources
 from app.connectors.tables import ConnectorRequest
+from app.maintenance.satellite_removal import holdings_of, remove_satellite
 from app.orbits.tables import OrbitRow
 from app.outbox.tables import OutboxEntry
 from app.satellites.tables import Magnetometer, Satellite
@@ -180,6 +182,70 @@ def test_another_objects_orbit_a_page_and_nonsense_are_not_kept_and_stop_nothing
     assert "cannot be read" in found["c"]
     assert orbits(database) == []
     assert stopped_sources(database) == []
+
+
+def remove(database: Database, name: str) -> None:
+    with database.write() as session:
+        confirmation = holdings_of(session, SYSTEM, name).confirmation(name)
+        remove_satellite(session, SYSTEM, name, confirmation)
+
+
+def test_a_satellite_that_is_removed_and_made_anew_is_no_reason_for_another_request(database, serve, tmp_path):
+    """Ten times in one minute: one request; and none of a hundred and fifty in an hour is forgotten."""
+    fake = serve(celestrak)
+    settings = Settings(data_dir=tmp_path, celestrak_url=fake.url)
+    for _ in range(10):
+        add(database, a="25544")
+        look(database, settings)
+        remove(database, "a")
+    assert len(fake.asked) == 1
+    with database.read() as session:
+        (row,) = session.scalars(select(ConnectorRequest))
+        assert (row.satellite_id, row.catalogue_number) == (None, "25544")
+    secret = tmp_path / "password"
+    secret.write_text("secret")
+    track = serve(space_track(["2026-11-29T12:00:00"], []))
+    settings = Settings(
+        data_dir=tmp_path, space_track_url=track.url, space_track_user="me", space_track_password_file=secret
+    )
+    add(database, **{f"s{n:02d}": str(30000 + n) for n in range(15)})
+    look(database, settings, "space-track")
+    for n in range(15):
+        remove(database, f"s{n:02d}")
+    add(database, **{f"t{n:02d}": str(40000 + n) for n in range(3)})
+    assert [state for _, state in look(database, settings, "space-track")] == ["not yet"] * 3
+    assert len(track.asked) == 30
+
+
+def test_satellites_of_one_catalogue_number_share_one_request(database, serve, tmp_path):
+    """One spacecraft that is kept twice, as a flight model and for rehearsals: both get the orbit."""
+    fake = serve(celestrak)
+    settings = Settings(data_dir=tmp_path, celestrak_url=fake.url)
+    add(database, flight="25544", rehearsal="0025544", other="25545")
+    assert look(database, settings) == [("flight", "new"), ("rehearsal", "new"), ("other", "new")]
+    assert look(database, settings) == [("flight", "not yet"), ("rehearsal", "not yet"), ("other", "not yet")]
+    assert [one.query["CATNR"] for one in fake.asked] == ["25544", "25545"]
+
+
+def test_requests_that_a_version_without_catalogue_numbers_wrote_count(database, serve, tmp_path):
+    fake = serve(celestrak)
+    add(database, a="25544")
+    with database.write() as session:
+        session.add(ConnectorRequest(id=new_id(), source="celestrak", satellite_id="a", asked_at=utc_now()))
+    assert look(database, Settings(data_dir=tmp_path, celestrak_url=fake.url)) == [("a", "not yet")]
+    assert fake.asked == []
+
+
+@pytest.mark.parametrize(
+    ("cospar_id", "state"),
+    [("2026-001A", "new"), ("26001A", "new"), ("2026-1A", "new"), ("2026-001B", "failed")],
+)
+def test_whose_orbit_it_is_is_told_as_for_uploads(database, serve, tmp_path, cospar_id, state):
+    """The number is right, and the designator is compared too, whatever its form."""
+    fake = serve(celestrak)
+    with database.write() as session:
+        session.add(Satellite(id="a", norad_id="25544", cospar_id=cospar_id, created_at=utc_now()))
+    assert look(database, Settings(data_dir=tmp_path, celestrak_url=fake.url)) == [("a", state)]
 
 
 def test_one_process_asks_at_a_time(database, serve, tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -14,11 +15,14 @@ from sqlalchemy import select
 
 from app.access.caller import SYSTEM
 from app.connectors.http import SourceAnswerError, SourceContentError
+from app.connectors.tables import ConnectorMark
 from app.connectors.telemetry.contract import PullOptionError, Wanted, instant
 from app.connectors.telemetry.pull import Pull
 from app.connectors.telemetry.registry import ARCHIVES
 from app.connectors.telemetry.satnogs import SatNogs
+from app.errors import ConflictError
 from app.jobs.engines.embedded import EmbeddedQueue
+from app.maintenance.satellite_removal import holdings_of, remove_satellite
 from app.satellites.tables import Magnetometer, Satellite
 from app.sessions.repository import SessionRepository, samples_of
 from app.sessions.tables import TelemetrySession
@@ -240,6 +244,35 @@ def test_a_pull_goes_on_where_it_stopped_and_a_gap_is_passed(database, settings,
     assert sorted(numbers(database, settings)) == list(range(100))
 
 
+def make_anew(database: Database) -> None:
+    """Remove the satellite with all it has, and make one of the same name."""
+    with database.write() as session:
+        remove_satellite(session, SYSTEM, "sat", holdings_of(session, SYSTEM, "sat").confirmation("sat"))
+    with database.write() as session:
+        session.add(Satellite(id="sat", norad_id="99999", created_at=utc_now()))
+        session.flush()
+        session.add(Magnetometer(satellite_id="sat", id="mgm", unit="nT", created_at=utc_now()))
+
+
+def test_a_satellite_that_is_made_anew_is_pulled_from_the_start(database, settings, serve):
+    """The mark goes with the satellite; a pull that was under way ends instead of going on behind what is gone."""
+    fake = serve(yamcs(5000, 10.0))
+    wanted = Wanted(fake.url, MAP, "sim", BEGIN)
+    assert sum(one.rows for one in pull_of(database, settings, "yamcs", wanted).run()) == 5000
+    make_anew(database)
+    pages = pull_of(database, settings, "yamcs", wanted).run()
+    assert next(pages).rows == 2160
+    make_anew(database)
+    with pytest.raises(ConflictError, match="removed and made anew"):
+        next(pages)
+    assert numbers(database, settings) == []
+    assert sum(one.rows for one in pull_of(database, settings, "yamcs", wanted).run()) == 5000
+    assert sorted(numbers(database, settings)) == list(range(5000))
+    with database.write() as session:
+        remove_satellite(session, SYSTEM, "sat", holdings_of(session, SYSTEM, "sat").confirmation("sat"))
+        assert session.scalars(select(ConnectorMark)).all() == []
+
+
 class Frames:
     """SatNOGS DB: frames the newest first, a cursor, a token, and a throttle at every third request."""
 
@@ -332,6 +365,53 @@ def test_hapi_is_read_as_far_as_it_reaches_and_fill_values_are_none(database, se
         list(pull_of(database, settings, "hapi", Wanted(f"{fake.url}/hapi", MAP | {"bx": "B_NEC"}, "MAG")).run())
     with pytest.raises(SourceAnswerError, match="404"):
         list(pull_of(database, settings, "hapi", Wanted(f"{fake.url}/hapi", columns, "NONE")).run())
+
+
+def test_what_comes_down_with_the_next_pass_is_pulled_once_it_has_settled(database, settings, serve):
+    """A row a minute for ten hours; those of the last five come down after the first pull, which waits for six."""
+    begin = utc_now().replace(microsecond=0) - timedelta(minutes=600)
+
+    def archive(rows):
+        def answer(asked):
+            start, stop = (datetime.fromisoformat(asked.query[name]) for name in ("start", "stop"))
+            times = [(number, begin + timedelta(minutes=number)) for number in range(rows)]
+            lines = ["\t".join([time.isoformat(), *map(str, reading(n))]) for n, time in times if start <= time < stop]
+            return 200, {}, "\n".join(["Time\tx\ty\tz", *lines, ""]).encode()
+
+        return answer
+
+    fake = serve(archive(300))
+    wanted = Wanted(fake.url, MAP, "sim", begin, settle=timedelta(hours=6))
+    list(pull_of(database, settings, "yamcs", wanted).run())
+    assert 239 <= len(numbers(database, settings)) <= 245
+    fake.answer = archive(600)
+    list(pull_of(database, settings, "yamcs", replace(wanted, settle=timedelta())).run())
+    found = sorted(numbers(database, settings))
+    assert len(found) >= 599
+    assert found == list(range(len(found)))
+
+
+def test_frames_of_slow_stations_are_pulled_once_they_have_settled(database, settings, serve):
+    """Every other frame comes a pull later than its younger neighbours; all are kept, each once."""
+    now = utc_now().replace(microsecond=0)
+    columns = {"bx": "x", "by": "y", "bz": "z"}
+
+    def frames(numbers):
+        results = [
+            {"timestamp": (now - timedelta(minutes=number)).isoformat(),
+             "decoded": dict(zip("xyz", reading(number), strict=True))}
+            for number in numbers
+        ]  # fmt: skip
+        return lambda _asked: (200, {}, json.dumps({"next": None, "results": results}).encode())
+
+    fake = serve(frames([*range(0, 60, 2), *range(60, 120)]))
+    wanted = Wanted(fake.url, columns, settle=timedelta(hours=1))
+    wait = SatNogs(lambda _s: None)
+    assert sum(one.rows for one in pull_of(database, settings, "satnogs", wanted, wait).run()) == 60
+    fake.answer = frames(range(120))
+    hasty = replace(wanted, settle=timedelta())
+    assert sum(one.rows for one in pull_of(database, settings, "satnogs", hasty, wait).run()) == 60
+    assert sorted(numbers(database, settings)) == list(range(120))
 
 
 def test_an_archive_cannot_send_us_to_another_host(database, settings, serve):

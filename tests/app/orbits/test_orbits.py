@@ -235,6 +235,26 @@ def test_an_orbit_of_another_object_is_refused_unless_it_is_forced(api, names):
     assert api.post(f"/satellites/{name}/orbits", **send).status_code == 201
 
 
+@pytest.mark.parametrize(
+    ("object_id", "status"),
+    [
+        ("2020-068H", 201), ("20068H", 201), ("UNKNOWN", 201), ("N/A", 201), ("46494", 201), ("046494", 201),
+        ("2020-068J", 409), ("25544", 409),
+    ],
+)  # fmt: skip
+def test_an_object_id_of_ccsds_may_be_a_designator_a_number_or_a_word(api, names, object_id, status):
+    """A message that does not know its object is nobody else's; one of another number or designator is refused."""
+    satellite = next(names)
+    created = api.post("/satellites", json={"id": satellite, "norad_id": "46494", "cospar_id": "2020-068H"})
+    assert created.status_code == 201
+    opm = (
+        f"CCSDS_OPM_VERS = 2.0\nOBJECT_NAME = S\nOBJECT_ID = {object_id}\nCENTER_NAME = EARTH\nREF_FRAME = GCRF\n"
+        "TIME_SYSTEM = UTC\nEPOCH = 2024-05-10T14:30:00\nX = 6900\nY = 0\nZ = 0\nX_DOT = 0\nY_DOT = 3\nZ_DOT = 7\n"
+    )
+    sent = api.post(f"/satellites/{satellite}/orbits", content=opm, headers={"content-type": "text/plain"})
+    assert sent.status_code == status, sent.text
+
+
 def test_a_server_message_sent_as_an_orbit_is_called_so(api, satellite):
     for content, kind in (("No GP data found", "text/plain"), ('{"error": "log in"}', "application/json")):
         answer = api.post(f"/satellites/{satellite}/orbits", content=content, headers={"content-type": kind})

@@ -257,6 +257,28 @@ def test_rows_that_a_revision_writes_into_the_newest_schema_are_read_by_both(fil
         finish(session, claim, "succeeded", result={})
 
 
+def test_marks_of_pulls_are_tied_to_their_satellites_and_those_of_removed_ones_go(database, settings):
+    upgrade(database, settings)
+    fill(database, settings)
+    migrate(database, "0014_set_life")
+    marks = ("yamcs/dekart/m/0123", "hapi/gone/m/4567", "orbits-of-the-past/space-track/dekart/1", "index gfz-kp a")
+    mark = "INSERT INTO connector_mark (name, mark, updated_at) VALUES (:name, 'x', :now)"
+    asked = "INSERT INTO connector_request (id, source, satellite_id, asked_at) VALUES ('1', 'url', 'dekart', :now)"
+    with database.write() as session:
+        for name in marks:
+            session.execute(text(mark), {"name": name, "now": utc_now()})
+        session.execute(text("UPDATE satellite SET norad_id = '0046494'"))
+        session.execute(text(asked), {"now": utc_now()})
+    upgrade(database, settings)
+    rows = rows_of(database)
+    assert {one["name"]: one["satellite_id"] for one in rows["connector_mark"]} == {
+        marks[0]: "dekart", marks[2]: "dekart", marks[3]: None,
+    }  # fmt: skip
+    assert [(one["satellite_id"], one["catalogue_number"]) for one in rows["connector_request"]] == [
+        ("dekart", "46494")
+    ]
+
+
 def columns_of(database: Database) -> dict[str, dict[str, dict[str, object]]]:
     """Return of every column of ours its kind, and whether a row may leave it out."""
     seen = inspect(database.engine)
