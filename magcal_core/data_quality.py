@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from magcal_core.arrays import Floats
+from magcal_core.arrays import Floats, Mask, Times
 from magcal_core.samples import EXCLUDED, SampleFlag, Samples
 
 WITHOUT_READING: Final = (
@@ -21,6 +22,60 @@ WITHOUT_READING: Final = (
 )
 WORTH_A_WARNING: Final = 0.01
 """Share of rows without a reading that is worth a warning."""
+MOST_STRETCHES: Final = 3
+_FEWEST: Final = 20
+"""Rows that a stretch has rejected more than kept, at least."""
+_BY_CHANCE: Final = 3.0
+"""Times the longest lead that as many rows would have by chance, were they rejected one by one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Rows next to each other most of which the loss rejects: from a time on, until before another, UTC."""
+
+    begin: np.datetime64
+    end: np.datetime64
+    samples: int
+    rejected: int
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the stretch as the records have it."""
+        begin, end = (f"{np.datetime_as_string(one, unit='us')}Z" for one in (self.begin, self.end))
+        return {"from": begin, "until": end, "samples": self.samples, "rejected": self.rejected}
+
+
+def rejected_stretches(t_utc: Times, is_rejected: Mask) -> tuple[Stretch, ...]:
+    """Return the stretches of time, the longest first, in which most rows are rejected; none of rows here and there.
+
+    Parameters
+    ----------
+    t_utc, is_rejected : shape (n,)
+        In time order.
+
+    Notes
+    -----
+    A stretch is where rejected rows outnumber the others by most: the largest sum of +1 and -1 over consecutive rows.
+    Rows that are rejected one by one with probability p < 1/2 lead by about ln n / ln((1 - p) / p) somewhere [KARLIN]:
+    a stretch leads by three times as much.
+    """
+    n, share = len(is_rejected), float(np.mean(is_rejected)) if len(is_rejected) else 0.0
+    if not 0.0 < share < 0.5:
+        return ()
+    least = max(float(_FEWEST), _BY_CHANCE * math.log(n) / math.log((1.0 - share) / share))
+    scores = np.where(is_rejected, 1, -1)
+    found = []
+    for _ in range(MOST_STRETCHES):
+        sums = np.concatenate([[0], np.cumsum(scores)])
+        lead = sums - np.minimum.accumulate(sums)
+        end = int(np.argmax(lead))
+        if lead[end] < least:
+            break
+        begin = end - 1 - int(np.argmin(sums[:end][::-1]))
+        step = np.median(np.diff(t_utc[begin:end]).astype(np.int64)).astype("timedelta64[ns]")
+        rejected = int(np.count_nonzero(is_rejected[begin:end]))
+        found.append(Stretch(t_utc[begin], t_utc[end - 1] + step, end - begin, rejected))
+        scores[begin:end] = -n
+    return tuple(found)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +88,7 @@ class DataQuality:
     flagged : flag -> rows that bear it and are therefore in no fit.
     rejected, rejected_share : rows that the loss rejected, and their share of those that the fit was given.
     without_reading : rows that the screen, or their emptiness, keeps out.
+    stretches : where the loss rejects most rows.
     """
 
     rows: int
@@ -41,10 +97,11 @@ class DataQuality:
     rejected: int
     rejected_share: float
     without_reading: int
+    stretches: Sequence[Stretch] = ()
 
     @classmethod
-    def of(cls, samples: Samples, weights: Floats | None = None) -> DataQuality:
-        """Return the quality of ``samples``; ``weights``: of those that a fit was given, where one was made."""
+    def of(cls, samples: Samples, weights: Floats | None = None, t_utc: Times | None = None) -> DataQuality:
+        """Return the quality of ``samples``; ``weights`` and ``t_utc``: of those that a fit was given."""
         flagged = {}
         for flag in SampleFlag:
             count = int(np.count_nonzero(samples.flags & np.uint16(flag))) if flag & EXCLUDED and flag.name else 0
@@ -53,7 +110,8 @@ class DataQuality:
         given = int(np.count_nonzero(samples.is_used)) if weights is None else len(weights)
         rejected = 0 if weights is None else int(np.count_nonzero(~(weights > 0)))
         bad = int(np.count_nonzero(samples.flags & np.uint16(WITHOUT_READING)))
-        return cls(len(samples), given - rejected, flagged, rejected, rejected / max(given, 1), bad)
+        stretches = () if weights is None or t_utc is None else rejected_stretches(t_utc, ~(weights > 0))
+        return cls(len(samples), given - rejected, flagged, rejected, rejected / max(given, 1), bad, stretches)
 
     @property
     def without_reading_share(self) -> float:
@@ -84,4 +142,5 @@ class DataQuality:
             "flagged": dict(self.flagged),
             "rejected": self.rejected,
             "rejected_share": self.rejected_share,
+            "rejected_stretches": [one.to_dict() for one in self.stretches],
         }

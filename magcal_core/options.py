@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final, TypedDict
 
-from magcal_core.errors import Fault, OptionError
+from magcal_core.errors import Fault, InputError, OptionError
 from magcal_core.field.gaps import INDEX_GAPS
 
 ORBIT_MODELS: Final = ("sgp4", "numerical")
@@ -39,6 +39,8 @@ class OptionValues(TypedDict, total=False):
     bias_steps: str
     windows: float | str | None
     locked_terms: str
+    without: tuple[str, ...]
+    time_scale: str
     gyro: tuple[str, ...]
     gyro_unit: str
     max_orbit_age_days: float
@@ -75,6 +77,9 @@ class CalibrationOptions:
         ``none``.
     windows : hours of windows that are calibrated one by one beside the whole, with their trend, or ``auto``.
     locked_terms : ``auto``: errors of the bias that follow orbit, heat and sun are considered; ``none``: they are not.
+    without : spans of time to leave out, each ``FROM/UNTIL`` in ISO 8601 with a zone, as if they had not been sent.
+    time_scale : scale that the telemetry's clock keeps where its times were read as UTC and are not: ``gps``, ``tai``,
+        ``tt``; its times are moved back to UTC, then ``without`` counts.
     gyro, gyro_unit : three columns of angular rate, and ``deg/s`` or ``rad/s``: they tell the mounting.
     max_orbit_age_days : orbits further from the data are refused.
     bootstrap : replicates of the block bootstrap, 0 for none; ``seed`` makes them repeatable.
@@ -101,6 +106,8 @@ class CalibrationOptions:
     bias_steps: str = "auto"
     windows: float | str | None = None
     locked_terms: str = "auto"
+    without: tuple[str, ...] = ()
+    time_scale: str = "utc"
     gyro: tuple[str, ...] = ()
     gyro_unit: str = "deg/s"
     max_orbit_age_days: float = 14.0
@@ -108,7 +115,7 @@ class CalibrationOptions:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("regressors", "gyro"):
+        for name in ("regressors", "without", "gyro"):
             if isinstance(getattr(self, name), list):
                 object.__setattr__(self, name, tuple(getattr(self, name)))
         faults = [
@@ -149,7 +156,7 @@ class CalibrationOptions:
         """Return the options as the records of the service have them."""
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         regressors = self.regressors if isinstance(self.regressors, str) else list(self.regressors)
-        return values | {"regressors": regressors, "gyro": list(self.gyro)}
+        return values | {"regressors": regressors, "without": list(self.without), "gyro": list(self.gyro)}
 
 
 _Check = Callable[[object], str | None]
@@ -213,6 +220,24 @@ def _windows(value: object) -> str | None:
     return None if _number(0.1, 8784.0, "h")(value) is None else "want hours, a number from 0.1 to 8784, or auto"
 
 
+def _without(value: object) -> str | None:
+    from magcal_core.telemetry.spans import parse_spans
+
+    if not isinstance(value, tuple) or not all(isinstance(span, str) for span in value):
+        return "want a list of spans, each FROM/UNTIL"
+    try:
+        parse_spans(value)
+    except InputError as error:
+        return error.message
+    return None
+
+
+def _time_scale(value: object) -> str | None:
+    from magcal_core.telemetry.times import CLOCK_SCALES
+
+    return _one_of(CLOCK_SCALES)(value)
+
+
 def _gyro(value: object) -> str | None:
     is_good = isinstance(value, tuple) and all(isinstance(name, str) and name for name in value)
     is_whole = isinstance(value, tuple) and len(set(value)) == len(value) and len(value) in (0, 3)
@@ -236,6 +261,8 @@ _CHECKS: Final[Mapping[str, _Check]] = {
     "bias_steps": _one_of(BIAS_STEPS),
     "windows": _windows,
     "locked_terms": _one_of(LOCKED_TERMS),
+    "without": _without,
+    "time_scale": _time_scale,
     "gyro": _gyro,
     "gyro_unit": _one_of(GYRO_UNITS),
     "max_orbit_age_days": _number(0.0, 36525.0, "d"),

@@ -26,6 +26,7 @@ from magcal_core.field.sources import FieldFile, FieldSources, GivenIndices
 from magcal_core.options import CalibrationOptions, OptionValues
 from magcal_core.orbit import Orbit
 from magcal_core.reference.referenced_samples import Referenced
+from magcal_core.reference.rows_asked_for import rows_asked_for, warnings_of_rows
 from magcal_core.samples import Samples
 
 __all__ = ["CalibrationOptions", "calibrate"]
@@ -81,7 +82,8 @@ def calibrate(
     tell = progress if progress is not None else lambda _share: None
     tell(0.0)
     sources = FieldSources.of(index, field_file)
-    referenced = Referenced.of(samples, orbits, chosen, sources)
+    asked_for = rows_asked_for(samples, chosen)
+    referenced = Referenced.of(asked_for, orbits, chosen, sources)
     tell(0.2)
     try:
         estimate = _estimate(referenced, chosen)
@@ -103,7 +105,7 @@ def calibrate(
         return calibrate(
             part,
             orbits,
-            options,
+            replace(options, without=(), time_scale="utc"),
             index=sources.indices,
             field_file=sources.file,
             active=active,
@@ -111,7 +113,10 @@ def calibrate(
             with_moments=with_moments,
         )
 
-    calibration = with_moving_bias(calibration, moments, Session(samples, orbits, chosen), again)
+    calibration = with_moving_bias(calibration, moments, Session(asked_for, orbits, chosen), again)
+    told = tuple(warnings_of_rows(samples, asked_for, chosen))
+    if told:
+        calibration = replace(calibration, warnings=(*told, *calibration.warnings))
     tell(1.0)
     return calibration
 

@@ -27,6 +27,7 @@ from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
 from magcal_core.reference.columns import with_reference
 from magcal_core.reference.referenced_samples import Referenced, has_columns, in_time_order, oriented
+from magcal_core.reference.rows_asked_for import rows_asked_for
 from magcal_core.samples import Samples
 from magcal_core.sensor.parameters import Parameters
 from magcal_core.sensor.regressors import (
@@ -68,7 +69,7 @@ def calibrate_jointly(
     is_vector = is_vector_method(chosen.method)
     observed, begun, surrounded = [], [], []
     for samples in sessions.values():
-        referenced = Referenced.of(samples, orbits, chosen, sources)
+        referenced = Referenced.of(rows_asked_for(samples, chosen), orbits, chosen, sources)
         usable = referenced.usable(chosen.regressors, is_vector)
         known_clock = bool(time_offset_s) and referenced.has_orbit
         surrounded.append(SurroundedSession.of(referenced, usable, chosen, is_vector, is_clock_known=known_clock))

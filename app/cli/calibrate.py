@@ -132,6 +132,8 @@ def _estimation_options(function: F) -> F:
                      help="Calibrate windows of so many hours, or auto, one by one as well, with their trend."),
         click.option("--locked-terms", type=click.Choice(LOCKED_TERMS),
                      help="Errors of the bias that follow orbit, heat and sun.  [default: auto]"),
+        click.option("--without", multiple=True,
+                     help="Span of time to leave out, FROM/UNTIL in ISO 8601 with Z; any number of them."),
         click.option("--gyro", help="Columns of the angular rate, wx,wy,wz: they tell how the sensor is mounted."),
         click.option("--gyro-unit", type=click.Choice(GYRO_UNITS), help="Unit of the gyros.  [default: deg/s]"),
         click.option("--bootstrap", type=int, help="Replicates of the block bootstrap.  [default: 0]"),

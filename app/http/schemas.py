@@ -53,6 +53,11 @@ def utc_text(time: datetime) -> str:
     return time.astimezone(UTC).replace(tzinfo=None).isoformat(timespec="microseconds") + "Z"
 
 
+def day_text(time: datetime) -> str:
+    """Return a day as a person reads it, such as 29 Nov 2026."""
+    return f"{time.day} {time:%b %Y}"
+
+
 def core_times(times: Sequence[datetime]) -> NDArray[np.datetime64]:
     """Return ``times``, which are in UTC, as the core has them, to the nanosecond: those beyond its years at their end.
 

@@ -33,6 +33,7 @@ from magcal_core.field.models import FieldName
 from magcal_core.field.sources import FieldSources
 from magcal_core.options import CalibrationOptions
 from magcal_core.reference.referenced_samples import Referenced, in_time_order
+from magcal_core.reference.rows_asked_for import rows_asked_for, warnings_of_rows
 from magcal_core.samples import EXCLUDED, SampleFlag, Samples
 
 OF_THE_JOB: Final = frozenset({"calibrate", "priority"})
@@ -109,11 +110,17 @@ def preview(subject: Subject) -> SessionPreview:
         {name: value for name, value in as_options(request).items() if name not in {FIELD_FILE, CANDIDATES}}
     )
     problems = [] if subject.problem is None else [subject.problem]
-    samples, referenced, usable = samples_of(subject.columns), None, np.zeros(0, bool)
+    sent, referenced = samples_of(subject.columns), None
+    samples, outside = sent, 0
+    warnings: list[str] = []
     try:
+        samples = rows_asked_for(sent, options)
+        outside = len(sent) - len(samples)
+        warnings += warnings_of_rows(sent, samples, options)
         referenced = Referenced.of(samples, [orbit_of(one.content) for one in subject.near], options, subject.sources)
         samples = referenced.samples
         usable = _usable(referenced, options)
+        warnings += referenced.report.warnings
     except MagcalError as error:
         problems = problems or [error]
         samples = _ordered(samples, options)
@@ -130,11 +137,11 @@ def preview(subject: Subject) -> SessionPreview:
         orbit_model=None if referenced is None else referenced.report.orbit_model,
         orbits=_orbits(subject, referenced),
         regressors=_columns(samples),
-        samples=len(samples),
+        samples=len(samples) + outside,
         usable=int(usable.sum()),
-        left_out=_left_out(samples, usable),
+        left_out=_left_out(samples, usable, outside),
         compared_with=subject.in_force,
-        warnings=[] if referenced is None else list(referenced.report.warnings),
+        warnings=warnings,
         problems=[PreviewProblem(code=one.code, detail=str(one)) for one in problems],
     )
 
@@ -187,12 +194,13 @@ def _columns(samples: Samples) -> list[PreviewColumn]:
     return found
 
 
-def _left_out(samples: Samples, usable: np.ndarray[Any, np.dtype[np.bool_]]) -> list[LeftOutSamples]:
+def _left_out(samples: Samples, usable: np.ndarray[Any, np.dtype[np.bool_]], outside: int) -> list[LeftOutSamples]:
     counts = {
         str(flag.name).lower(): int(np.count_nonzero(samples.flags & np.uint16(flag)))
         for flag in SampleFlag
         if flag & EXCLUDED
     }
+    counts["without"] = outside
     counts["no_value"] = int(np.count_nonzero(samples.is_used & ~usable))
     ordered = sorted(counts.items(), key=lambda one: -one[1])
     return [LeftOutSamples(reason=reason, samples=count) for reason, count in ordered if count]

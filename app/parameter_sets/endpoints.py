@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from typing import Annotated, Final
+from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
@@ -19,8 +18,9 @@ from app.http.services import HttpServices, services_of
 from app.http.strict_json import StrictJsonRoute
 from app.http.tables import TABLES, TELEMETRY_BODY, WRITTEN_TYPES, table_response, wanted_format, write_table
 from app.parameter_sets.correction import Correction
+from app.parameter_sets.cure_subject import subject_of
 from app.parameter_sets.json_listing import ListingServices, found, listed, part, summaries
-from app.parameter_sets.reasons import Subject, explained
+from app.parameter_sets.reasons import explained
 from app.parameter_sets.repository import ParameterSetRepository
 from app.parameter_sets.schemas import (
     ActivateBody,
@@ -36,16 +36,12 @@ from app.parameter_sets.tables import ParameterSet
 from app.records.arrow import from_bytes
 from app.satellites.tables import Magnetometer
 from app.sessions.sensor_reading import PLAIN, SensorReading, in_axes_of
-from app.sessions.tables import TelemetrySession
 from app.settings import Settings
 from app.storage.store import residuals_key
 from magcal_core.samples import Samples
 from magcal_core.telemetry import write_samples
 
 router = APIRouter(route_class=StrictJsonRoute, prefix="/parameter-sets", tags=["parameter sets"])
-
-READINGS: Final = re.compile(r"time|[bq][wxyz]|ref_.*|[xyz]_km")
-"""Columns that are no housekeeping."""
 
 
 @router.get("", response_model=Page[ParameterSetRead] | Page[ParameterSetSummary], responses=UNCHANGED)
@@ -81,19 +77,11 @@ def get_parameter_set(parameter_set_id: str, request: Request, caller: Reader, d
 def list_reasons(parameter_set_id: str, caller: Reader, db: Db) -> ReasonList:
     """Say in plain words why the verdict is what it is: each reason with figure, limit and what may mend it."""
     with db.read() as session:
-        sets = ParameterSetRepository(session, caller)
-        row = sets.get(parameter_set_id)
-        active = sets.in_force(row.satellite_id, row.magnetometer_id)
-        session_ids = sets.session_ids([row])[row.id]
-        columns = [session.get_one(TelemetrySession, one).columns for one in session_ids]
-    verdict, provenance = row.record["verdict"], row.record["provenance"]
-    if not isinstance(verdict, dict) or not isinstance(provenance, dict):
-        raise StoredObjectCorruptError("the parameter set's record has no verdict or no provenance")
-    housekeeping = [name for names in columns for name in names if not READINGS.fullmatch(name)]
-    options = provenance.get("options") or {}
-    subject = Subject(
-        row.id, row.satellite_id, session_ids, options, housekeeping, None if active is None else active.id
-    )
+        row = ParameterSetRepository(session, caller).get(parameter_set_id)
+        subject = subject_of(session, caller, row)
+    verdict = row.record["verdict"]
+    if not isinstance(verdict, dict):
+        raise StoredObjectCorruptError("the parameter set's record has no verdict")
     found = explained(verdict["reasons"], verdict.get("grades", []), subject)
     return ReasonList(items=[ReasonRead.model_validate(one) for one in found])
 

@@ -6,9 +6,11 @@ A cure is a calibration of the same sessions with one option changed; nothing is
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from datetime import datetime, timedelta
 from typing import Final
 
+from app.http.schemas import day_text, utc_text
 from magcal_core.calibration.estimators.registry import STEP_METHODS, has_moments
 
 Options = Mapping[str, object]
@@ -35,6 +37,16 @@ class Subject:
     options: Options
     housekeeping: Sequence[str] = ()
     active_id: str | None = None
+    time_scale: str | None = None
+    """Scale that the clock seems to keep, where the record suspects one."""
+    stretches: Sequence[tuple[datetime, datetime]] = ()
+    """Where the loss rejects most rows."""
+    has_outliers: bool = False
+    """Whether the record warns of residuals that no loss has put aside."""
+    nearer_orbit: datetime | None = None
+    """Epoch of an orbit that serves the data better than what the set was made with."""
+    figure: str = ""
+    """Of the reason that is explained."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +65,16 @@ def _again(label: str, change: Callable[[Subject], Change]) -> Callable[[Subject
         changed = change(subject)
         if changed is None or all(subject.options.get(name) == value for name, value in changed.items()):
             return None
-        given = {name: value for name, value in subject.options.items() if value is not None}
-        body = {**given, **changed, "kind": "calibration", "session_ids": list(subject.session_ids)}
-        return Cure(label, "POST", "/api/v1/jobs", body)
+        return _job(label, subject, changed)
 
     return offer
+
+
+def _job(label: str, subject: Subject, changed: Mapping[str, object]) -> Cure:
+    """Return the same calibration with ``changed``."""
+    given = {name: value for name, value in subject.options.items() if value is not None}
+    body = {**given, **changed, "kind": "calibration", "session_ids": list(subject.session_ids)}
+    return Cure(label, "POST", "/api/v1/jobs", body)
 
 
 def _first(*offers: Callable[[Subject], Cure | None]) -> Callable[[Subject], Cure | None]:
@@ -80,6 +97,55 @@ def _regressors(subject: Subject) -> Change:
     return {"regressors": "auto"} if subject.housekeeping else None
 
 
+def _leave_out(subject: Subject) -> Cure | None:
+    """Return the calibration without the stretches of time whose rows the loss rejects, where there are any."""
+    spans = [_rounded(*one) for one in sorted(subject.stretches)]
+    if not spans:
+        return None
+    known = subject.options.get("without")
+    texts = [f"{utc_text(begin)}/{utc_text(end)}" for begin, end in spans]
+    label = "Leave out " + " and ".join(_clock_span(begin, end) for begin, end in spans)
+    return _job(label, subject, {"without": [*(known if isinstance(known, list) else []), *texts]})
+
+
+def _rounded(begin: datetime, end: datetime) -> tuple[datetime, datetime]:
+    """Return the span to the whole minute about it, a short one to the whole second."""
+    unit = timedelta(minutes=1) if end - begin >= timedelta(minutes=10) else timedelta(seconds=1)
+    whole = datetime(1970, 1, 1, tzinfo=begin.tzinfo)
+    return begin - (begin - whole) % unit, end + (whole - end) % unit
+
+
+def _clock_span(begin: datetime, end: datetime) -> str:
+    form = "%H:%M" if begin.second == end.second == 0 else "%H:%M:%S"
+    last = f"{end:{form}}" if end.date() == begin.date() else f"{end:{form}} of {day_text(end)}"
+    return f"{begin:{form}}-{last}"
+
+
+def _as_time_scale(subject: Subject) -> Cure | None:
+    """Return the calibration with times of the scale that the clock seems to keep, where the reason is about that."""
+    scale = subject.time_scale
+    if scale is None or not subject.figure.startswith(OF_THE_CLOCK) or subject.options.get("time_scale") == scale:
+        return None
+    return _job(f"As {scale.upper()} time", subject, {"time_scale": scale})
+
+
+def _nearer_orbit(subject: Subject) -> Cure | None:
+    """Return the same calibration again, where an orbit has come that serves the data better."""
+    if subject.nearer_orbit is None:
+        return None
+    return _job(f"Use the orbit of {day_text(subject.nearer_orbit)}", subject, {})
+
+
+def _outliers(subject: Subject) -> Cure | None:
+    """Return the calibration under a loss that puts outliers aside, where there are some."""
+    return TUKEY(subject) if subject.has_outliers else None
+
+
+def _untried_columns(subject: Subject) -> Cure | None:
+    """Return the calibration with regressors, where no column was tried."""
+    return None if subject.options.get("regressors") else REGRESSORS(subject)
+
+
 def _page(label: str, path: Callable[[Subject], str | None]) -> Callable[[Subject], Cure | None]:
     def offer(subject: Subject) -> Cure | None:
         found = path(subject)
@@ -94,6 +160,8 @@ def _comparison(subject: Subject) -> str | None:
     return f"/compare?first={subject.active_id}&second={subject.parameter_set_id}"
 
 
+OF_THE_CLOCK: Final = ("time_scale_suspect", "clock")
+"""How the text of a reason begins that is about the clock."""
 TUKEY: Final = _again("Again with tukey", lambda _subject: {"robust": "tukey"})
 REGRESSORS: Final = _again("With the regressors that unseen blocks support", _regressors)
 NO_REGRESSORS: Final = _again(
@@ -125,7 +193,8 @@ REASONS: Final[Mapping[str, Plain]] = {
         "The readings are hardly in the unit that was said.", "give the unit, or the sensor's nT per count", UPLOAD
     ),
     "field_uncertain": Plain(
-        "The corrected field is not known well enough in its worst direction.", UNCERTAIN, MORE
+        "The corrected field is not known well enough in its worst direction.",
+        UNCERTAIN, _first(_outliers, _untried_columns, MORE),
     ),
     "rows_without_reading": Plain(
         "Half of the rows or more hold no reading, so what is left is a part of the session.",
@@ -137,15 +206,16 @@ REASONS: Final[Mapping[str, Plain]] = {
     ),
     "large_residual": Plain(
         "After the correction, |B| still differs from the model by a large share of the field.",
-        "look at the residual over time: outliers, currents, a wrong reference", _first(TUKEY, REGRESSORS),
+        "look at the residual over time: outliers, currents, a wrong reference",
+        _first(_leave_out, TUKEY, REGRESSORS),
     ),
     "poor_on_unseen_data": Plain(
         "The fit describes the data that it saw, and others much worse.",
-        "fewer regressors, or data from several orbits", _first(NO_REGRESSORS, TUKEY),
+        "fewer regressors, or data from several orbits", _first(NO_REGRESSORS, _leave_out, TUKEY),
     ),
     "worse_than_raw": Plain(
         "On data that it has not seen, the correction does worse than none.",
-        "fewer regressors, or data from several orbits", _first(NO_REGRESSORS, TUKEY),
+        "fewer regressors, or data from several orbits", _first(NO_REGRESSORS, _leave_out, TUKEY),
     ),
     "not_cross_validated": Plain(
         "A part of the data alone does not determine the parameters, so that they cannot be tried on the rest.",
@@ -153,15 +223,17 @@ REASONS: Final[Mapping[str, Plain]] = {
     ),
     "many_rejected": Plain(
         "Many samples were left out or lost their weight.",
-        "the session's flags say why: saturation, repeated times, spikes", TUKEY,
+        "the session's flags say why: saturation, repeated times, spikes", _first(_leave_out, TUKEY),
     ),
     "orbit_old": Plain(
         "The orbit is far from the data in time, so that the positions may be wrong.",
-        "give an orbit near the data, or let the clock be an unknown", _first(CLOCK, ORBITS),
+        "give an orbit near the data, or let the clock be an unknown", _first(_nearer_orbit, CLOCK, ORBITS),
     ),
     "wrong_input_suspected": Plain(
         "The data look as if they were meant otherwise: another time scale, axes, or frame.",
-        "check the telemetry's definition against what the reason names", UPLOAD,
+        "check the telemetry's definition against what the reason names; for telemetry to come, declare it on the "
+        "magnetometer",
+        _first(_as_time_scale, UPLOAD),
     ),
     "differs_from_active": Plain(
         "The parameters differ from those in force by more than chance.",
@@ -207,7 +279,7 @@ def explained(reasons: Sequence[str], grades: Sequence[str], subject: Subject) -
     for reason, grade in zip(reasons, known, strict=True):
         code, _, figure = reason.partition(": ")
         plain = REASONS.get(code, OTHER)
-        cure = None if grade == "accept" else plain.cure(subject)
+        cure = None if grade == "accept" else plain.cure(replace(subject, figure=figure))
         page = f"/reasons#{code}"
         found.append(ExplainedReason(code, grade, plain.sentence, figure, plain.advice, page, cure))
     return found

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import datetime
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Final
 
@@ -14,24 +13,22 @@ from app.access.caller import Caller
 from app.errors import NoMomentsError
 from app.http.concurrency import Places
 from app.http.dependencies import Blobs, Db
-from app.http.schemas import Filter, Record, core_times, parse_utc
+from app.http.schemas import Filter, Record
 from app.http.strict_json import StrictJsonRoute
 from app.parameter_sets.repository import ParameterSetRepository
 from app.parameter_sets.schemas import ParametersRead
 from app.records.json_numbers import without_nan
 from app.storage.store import Store, moments_key
-from magcal_core.errors import MomentsError, TimeError
+from magcal_core.errors import InputError, MomentsError
+from magcal_core.telemetry.spans import MOST_SPANS, Span, parse_span
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from magcal_core.calibration.refit.moments import FitMoments
     from magcal_core.calibration.refit.outcome import RefitOptions
 
 router = APIRouter(route_class=StrictJsonRoute, prefix="/parameter-sets", tags=["parameter sets"])
 
 MOST_REPLICATES: Final = 10_000
-MOST_SPANS: Final = 100
 LARGEST_SEED: Final = 2**63 - 1
 PLACES: Final = Places("refits")
 """The most replicates take half a second of a core and 300 MiB."""
@@ -165,20 +162,12 @@ def _options(query: RefitQuery) -> RefitOptions:
     )
 
 
-def _span(text: str) -> tuple[np.datetime64, np.datetime64]:
-    """Return the two times of a span, UTC."""
-    bounds: list[datetime] = []
-    for one in text.split("/", 2):
-        try:
-            time = parse_utc(one)
-        except ValueError as error:
-            raise TimeError(f"without: {error}") from error
-        if isinstance(time, datetime):
-            bounds.append(time)
-    if len(bounds) != 2:
-        raise TimeError("without: want FROM/UNTIL, two times in ISO 8601 with Z and a slash between them")
-    begin, end = core_times(bounds)
-    return begin, end
+def _span(text: str) -> Span:
+    try:
+        return parse_span(text)
+    except InputError as error:
+        error.message = f"without: {error.message}"
+        raise
 
 
 def moments_of_set(parameter_set_id: str, caller: Caller, db: Db, store: Store) -> FitMoments:

@@ -22,10 +22,20 @@ from magcal_core.options import (
     TIME_OFFSETS,
     CalibrationOptions,
 )
+from magcal_core.telemetry.spans import MOST_SPANS
+from magcal_core.telemetry.times import CLOCK_SCALES
 
 Method = Annotated[str, OneOf(ESTIMATORS)]
 FieldName = Annotated[
     str, Field(max_length=64, examples=list(FIELD_MODELS), description="A field model, or parts of one joined by +.")
+]
+SpanText = Annotated[
+    str,
+    Field(
+        max_length=100,
+        examples=["2026-11-29T03:30:00Z/2026-11-29T03:50:00Z"],
+        description="FROM/UNTIL, two times in ISO 8601 with Z; what is at UNTIL stays.",
+    ),
 ]
 IndexGap = Annotated[str, OneOf(INDEX_GAPS)]
 
@@ -60,6 +70,14 @@ class CalibrationOptionsBody(Body):
         None, description="Hours of windows that are calibrated one by one as well, with their trend."
     )
     locked_terms: Annotated[str, OneOf(LOCKED_TERMS)] | None = None
+    without: list[SpanText] | None = Field(
+        None, max_length=MOST_SPANS, description="Spans of time to leave out, as if they had not been sent."
+    )
+    time_scale: Annotated[str, OneOf(CLOCK_SCALES)] | None = Field(
+        None,
+        description="Scale that the clock of the telemetry keeps where its times were read as UTC and are not: they "
+        "are moved back to UTC first. For telemetry to come, declare the magnetometer's `time_format`.",
+    )
     gyro: GyroBody | None = None
     max_orbit_age_days: float | None = Field(None, ge=0, le=36525)
     bootstrap: int | None = Field(None, ge=0, le=10_000)

@@ -40,7 +40,8 @@ def judged(estimate: Estimate, active: ActiveSet | None) -> Judged:
     """
     referenced, trust = estimate.prepared.referenced, estimate.trust
     suspected = _suspicions(estimate)
-    quality = DataQuality.of(referenced.samples, counted_weights(estimate.fit, estimate.settings.robust))
+    weights = counted_weights(estimate.fit, estimate.settings.robust)
+    quality = DataQuality.of(referenced.samples, weights, referenced.samples.t_utc[estimate.usable])
     tried = estimate.tried_clock
     circumstances = Circumstances(
         referenced.age_days,

@@ -24,9 +24,11 @@ from magcal_core.telemetry.time_guesses import on_number, on_text
 
 TIME_SCALES: Final = ("utc", "gps")
 """Scales that telemetry may declare; with ``gps``, numbers are seconds since 1980-01-06."""
+CLOCK_SCALES: Final = ("utc", "gps", "tai", "tt")
+"""Scales that a clock may keep."""
 
 _GPS_EPOCH_NS: Final = int(np.datetime64("1980-01-06", "ns").astype(np.int64))
-_GPS_MINUS_TAI_S: Final = -19
+_MINUS_TAI_NS: Final = {"gps": -19_000_000_000, "tai": 0, "tt": 32_184_000_000}
 _NS: Final = 1_000_000_000
 
 
@@ -123,18 +125,23 @@ def to_utc_ns(t_ns: Nanoseconds, *, time_scale: str, is_epoch: bool) -> Nanoseco
         raise OptionError(f"unknown time scale {time_scale!r}; known are {', '.join(TIME_SCALES)}")
     if time_scale == "utc":
         return t_ns
+    return in_utc_ns(t_ns + np.where(t_ns == NO_TIME, 0, _GPS_EPOCH_NS) if is_epoch else t_ns, time_scale)
+
+
+def in_utc_ns(t_ns: Nanoseconds, scale: str) -> Nanoseconds:
+    """Return times of a scale other than UTC, nanoseconds since its 1970-01-01, in UTC; `NO_TIME` stays."""
     import erfa
 
     is_given = t_ns != NO_TIME
-    gps_ns = t_ns[is_given] + (_GPS_EPOCH_NS if is_epoch else 0)
+    own_ns = t_ns[is_given]
     table = erfa.leap_seconds.get()
     begins = np.array([int(np.datetime64(date(row["year"], row["month"], 1), "ns").astype(np.int64)) for row in table])
     tai_minus_utc_s = np.asarray(table["tai_utc"], np.float64)
-    # A step takes effect at a UTC instant; on the GPS scale that instant is late by the new difference.
-    gps_minus_utc_ns = ((tai_minus_utc_s + _GPS_MINUS_TAI_S) * _NS).astype(np.int64)
-    step = np.searchsorted(begins + gps_minus_utc_ns, gps_ns, side="right") - 1
+    # A step takes effect at a UTC instant; on the other scale that instant is late by the new difference.
+    own_minus_utc_ns = (tai_minus_utc_s * _NS).astype(np.int64) + _MINUS_TAI_NS[scale]
+    step = np.searchsorted(begins + own_minus_utc_ns, own_ns, side="right") - 1
     utc_ns = t_ns.copy()
-    utc_ns[is_given] = gps_ns - gps_minus_utc_ns[np.maximum(step, 0)]
+    utc_ns[is_given] = own_ns - own_minus_utc_ns[np.maximum(step, 0)]
     return utc_ns
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from datetime import datetime, timedelta
 
 from app.attention.causes.contract import Action, Finding, Severity
-from app.attention.causes.wording import age, day, satellite_page
+from app.attention.causes.wording import age, satellite_page
 from app.attention.situation import Situation
+from app.http.schemas import day_text
 
 
 class DataStale:
@@ -18,7 +19,7 @@ class DataStale:
         if session is None or now - session.data_until <= limit:
             return None
         text = (
-            f"The newest reading is of {day(session.data_until)}, {age(session.data_until, now)} old; "
+            f"The newest reading is of {day_text(session.data_until)}, {age(session.data_until, now)} old; "
             f"limit {situation.data_stale_days:g} days"
         )
         action = Action("Send telemetry", "GET", satellite_page(situation, "#upload-telemetry"))
@@ -39,7 +40,7 @@ class OrbitStale:
             return None
         what = "ends on" if orbit.until is not None else "has its epoch on"
         text = (
-            f"The newest orbit {what} {day(serves_until)}, {age(serves_until, now)} ago; "
+            f"The newest orbit {what} {day_text(serves_until)}, {age(serves_until, now)} ago; "
             f"limit {situation.orbit_stale_days:g} days"
         )
         action = Action("Add orbit", "GET", satellite_page(situation, "#orbits"))

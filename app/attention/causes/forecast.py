@@ -5,8 +5,9 @@ from __future__ import annotations
 from datetime import datetime
 
 from app.attention.causes.contract import Action, Finding, Severity
-from app.attention.causes.wording import activate, age, calibrate, day, satellite_page
+from app.attention.causes.wording import activate, age, calibrate, satellite_page
 from app.attention.situation import LifeFacts, Situation
+from app.http.schemas import day_text
 
 
 class ForecastOut:
@@ -27,12 +28,12 @@ class ForecastOut:
             links["session_id"] = situation.session.id
         witness = "; the newest session still agrees with it" if is_borne_out else ""
         text = f"{_told(life, life.until, now)}{witness}; {what_to_do}"
-        return Finding(severity, text, life.until, f"{active.id} {day(life.until)}", links, action)
+        return Finding(severity, text, life.until, f"{active.id} {day_text(life.until)}", links, action)
 
 
 def _told(life: LifeFacts, until: datetime, now: datetime) -> str:
     assured = f"the trend vouched for it to within {100.0 * life.share:g} % until"
-    when = f"{day(until)}, {age(until, now)} ago"
+    when = f"{day_text(until)}, {age(until, now)} ago"
     if life.is_capped:
         return f"The set in force is older than its history can tell of: {assured} {when}, and says nothing beyond"
     return f"The set in force no longer holds by its forecast: {assured} {when}"

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Final
 
 from app.attention.causes.contract import Action, Finding, Severity
 from app.attention.causes.wording import satellite_page
-from app.attention.situation import JobFacts, Situation
+from app.attention.situation import JobFacts, OrbitFacts, Situation, is_other_object
+from app.http.schemas import day_text
+from app.parameter_sets.cure_subject import scale_of_clock
+from magcal_core.options import CalibrationOptions
 
 OF_THE_ORBIT: Final = frozenset({"orbit_missing", "tle_epoch"})
 """Codes that an orbit mends, not another try."""
+MOST_AGE_DAYS: Final = CalibrationOptions().max_orbit_age_days
 
 
 class JobFailed:
@@ -34,18 +38,18 @@ class JobFailed:
 
 def _action(situation: Situation, job: JobFacts) -> Action | None:
     if (job.error or {}).get("code") in OF_THE_ORBIT:
-        return Action("Choose orbit", "GET", satellite_page(situation, "#orbits"))
-    cure = CURES.get(_cause(job))
+        return _orbits(situation, job)
+    cure = CURES.get(str(_cause(job).get("code", "")))
     found = None if cure is None else cure(situation, job)
     return found or Action("Try again", "POST", f"/api/v1/jobs/{job.id}/retry")
 
 
-def _cause(job: JobFacts) -> str:
-    """Return the code of the first cause that the diagnosis of a failed job has found, "" where it has none."""
+def _cause(job: JobFacts) -> Mapping[str, object]:
+    """Return the first cause that the diagnosis of a failed job has found, empty where it has none."""
     diagnosis = (job.error or {}).get("diagnosis")
     findings = diagnosis.get("findings") if isinstance(diagnosis, Mapping) else None
     first = findings[0] if isinstance(findings, list) and findings else None
-    return str(first.get("code", "")) if isinstance(first, Mapping) else ""
+    return first if isinstance(first, Mapping) else {}
 
 
 def _again(label: str, **changed: object) -> Callable[[Situation, JobFacts], Action | None]:
@@ -61,8 +65,33 @@ def _again(label: str, **changed: object) -> Callable[[Situation, JobFacts], Act
     return offer
 
 
-def _orbits(situation: Situation, _job: JobFacts) -> Action:
+def _clock(situation: Situation, job: JobFacts) -> Action | None:
+    """Return the calibration with times of the scale that the clock keeps, else with the clock as an unknown."""
+    session = situation.session
+    at = job.created_at if session is None or session.data_from is None else session.data_from
+    scale = scale_of_clock(_cause(job), at)
+    as_scale = None if scale is None else _again(f"As {scale.upper()} time", time_scale=scale)(situation, job)
+    return as_scale or _again("Look for the clock", time_offset="estimate")(situation, job)
+
+
+def _orbits(situation: Situation, job: JobFacts) -> Action:
+    """Return the same calibration again where an orbit that serves has come since, else the way to the orbits."""
+    orbit = situation.orbit
+    if orbit is not None and _serves(orbit, situation, job):
+        return Action(f"Use the orbit of {day_text(orbit.epoch)}", "POST", f"/api/v1/jobs/{job.id}/retry")
     return Action("Choose orbit", "GET", satellite_page(situation, "#orbits"))
+
+
+def _serves(orbit: OrbitFacts, situation: Situation, job: JobFacts) -> bool:
+    """Return whether ``orbit`` came after the job's end, is of the satellite, and near enough to the job's session."""
+    session = situation.session
+    if session is None or session.data_from is None or session.id not in job.session_ids:
+        return False
+    is_own = not is_other_object(situation.norad_id, orbit.norad_id)
+    limit = job.request.get("max_orbit_age_days")
+    most = timedelta(days=float(limit) if isinstance(limit, int | float) else MOST_AGE_DAYS)
+    away = max(session.data_from - (orbit.until or orbit.epoch), orbit.epoch - session.data_until)
+    return is_own and orbit.created_at > (job.finished_at or job.created_at) and away <= most
 
 
 def _reading(situation: Situation, _job: JobFacts) -> Action:
@@ -75,7 +104,7 @@ def _readings(_situation: Situation, job: JobFacts) -> Action | None:
 
 
 CURES: Final[Mapping[str, Callable[[Situation, JobFacts], Action | None]]] = {
-    "clock": _again("Look for the clock", time_offset="estimate"),
+    "clock": _clock,
     "bad_rows": _again("Again with tukey", robust="tukey"),
     "along_track": _orbits,
     "orbit_plane": _orbits,

@@ -5,8 +5,9 @@ from __future__ import annotations
 from datetime import datetime
 
 from app.attention.causes.contract import Action, Finding, Severity
-from app.attention.causes.wording import day, satellite_page
+from app.attention.causes.wording import satellite_page
 from app.attention.situation import Situation, is_other_object
+from app.http.schemas import day_text
 
 
 class OrbitMissing:
@@ -39,5 +40,5 @@ class OrbitOtherObject:
         action = Action("Choose orbit", "GET", satellite_page(situation, "#orbits"))
         if orbit.instead is not None:
             withdraw = f"/api/v1/satellites/{situation.satellite_id}/orbits/{orbit.id}/withdraw"
-            action = Action(f"Use the own orbit of {day(orbit.instead.epoch)}", "POST", withdraw, {})
+            action = Action(f"Use the own orbit of {day_text(orbit.instead.epoch)}", "POST", withdraw, {})
         return Finding(Severity.ACT, text, orbit.created_at, orbit.id, {"orbit_id": orbit.id}, action)

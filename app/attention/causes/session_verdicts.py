@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from app.attention.causes.contract import Action, Finding, Severity
-from app.attention.causes.wording import activate, calibrate, day
+from app.attention.causes.wording import activate, calibrate
 from app.attention.situation import SessionFacts, Situation
+from app.http.schemas import day_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +28,7 @@ class SessionVerdict:
         action = _action(situation, session)
         if situation.is_calibrating and situation.job is not None:
             links["job_id"], action = situation.job.id, None
-        text = f"Session of {day(session.data_until)} {self.words}: {_why(session)}"
+        text = f"Session of {day_text(session.data_until)} {self.words}: {_why(session)}"
         if action is None:
             text += "; a calibration is under way"
         return Finding(self.severity, text, session.created_at, f"{session.id} {active.id}", links, action)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from datetime import datetime
 
 from app.attention.causes.contract import Action, Finding, Severity
-from app.attention.causes.wording import activate, calibrate, day
+from app.attention.causes.wording import activate, calibrate
 from app.attention.situation import Situation
+from app.http.schemas import day_text
 
 
 class SetRefused:
@@ -19,7 +20,7 @@ class SetRefused:
             return None
         if active is not None and active.id > newest.id:
             return None
-        text = f"The newest calibration, of data until {day(newest.data_until)}, is refused"
+        text = f"The newest calibration, of data until {day_text(newest.data_until)}, is refused"
         action = Action("See why", "GET", f"/parameter-sets/{newest.id}")
         links = {"parameter_set_id": newest.id, "job_id": newest.job_id}
         return Finding(Severity.ACT, text, newest.created_at, newest.id, links, action)
@@ -35,7 +36,7 @@ class ActiveWeak:
             return None
         severity = Severity.ACT if active.grade == "refuse" else Severity.WATCH
         word = "refused and in force all the same" if active.grade == "refuse" else "weak"
-        text = f"The set in force, of data until {day(active.data_until)}, is {word}"
+        text = f"The set in force, of data until {day_text(active.data_until)}, is {word}"
         action = Action("See why", "GET", f"/parameter-sets/{active.id}")
         if newest is not None and newest.id > active.id and newest.grade == "accept" and newest.status == "candidate":
             action = activate(newest.id)
@@ -52,7 +53,9 @@ class NoActiveSet:
             return None
         newest, session = situation.newest, situation.session
         if newest is not None and newest.grade != "refuse":
-            found = f"No set is in force; the newest, of data until {day(newest.data_until)}, is {_word(newest.grade)}"
+            found = (
+                f"No set is in force; the newest, of data until {day_text(newest.data_until)}, is {_word(newest.grade)}"
+            )
             links = {"parameter_set_id": newest.id}
             return Finding(Severity.ACT, found, newest.created_at, newest.id, links, activate(newest.id))
         if session is None:

@@ -9,11 +9,6 @@ from app.attention.causes.contract import Action
 from app.attention.situation import Situation
 
 
-def day(time: datetime) -> str:
-    """Return a day such as 29 Nov 2026."""
-    return f"{time.day} {time:%b %Y}"
-
-
 def age(since: datetime, now: datetime) -> str:
     """Return how long ago ``since`` was, in hours up to two days, then in days."""
     elapsed = now - since

@@ -1,5 +1,6 @@
 // Two parameter sets side by side.
 import { api, grade, h, nt, section, short, show, start, time, title } from "./magcal.js";
+import { live } from "./live.js";
 import { differenceTable } from "./parameters.js";
 import { plot } from "./plot.js";
 
@@ -25,10 +26,18 @@ start(async () => {
     show(h("h1", {}, "Compare parameter sets"), h("p", {}, "Choose the two on the page of a parameter set."));
     return;
   }
-  const [first, second, compared] = await Promise.all([...[query.get("first"), query.get("second")].map((id) => api(`/parameter-sets/${id}`)),
+  const ask = () => Promise.all([...[query.get("first"), query.get("second")].map((id) => api(`/parameter-sets/${id}`)),
     api(`/parameter-sets/${query.get("second")}/comparison?other=${query.get("first")}`)]);
+  const [first, second, compared] = await ask();
   const address = `/figures/compare?first=${first.id}&second=${second.id}`;
-  show(h("h1", {}, "Compare parameter sets"), verdict(compared), h("div", { class: "pair" }, head(first, "First:"), head(second, "Second:")),
+  const [word, heads] = [h("div", {}, verdict(compared)), h("div", { class: "pair" }, head(first, "First:"), head(second, "Second:"))];
+  show(h("h1", {}, "Compare parameter sets"), word, heads,
     section("Parameters", differenceTable(first, second, ["first", "second", "second − first"])),
     plot(address, "Differences in combined standard errors", "Beyond the dotted lines, at three, the two do not agree within their honest errors.", 300));
+  // The numbers of a set never change; which one is in force does.
+  live(async () => {
+    const [one, other, now] = await ask();
+    word.replaceChildren(verdict(now));
+    heads.replaceChildren(head(one, "First:"), head(other, "Second:"));
+  }, { types: ["parameter_set.activated"], satellite: first.satellite });
 });

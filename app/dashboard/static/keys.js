@@ -1,5 +1,6 @@
 // Keys: made, listed, revoked; and who did what.
-import { api, confirm, field, form, h, listed, notice, option, section, show, start, time } from "./magcal.js";
+import { api, confirm, field, form, h, listed, notice, section, short, show, start, time } from "./magcal.js";
+import { live } from "./live.js";
 import { table } from "./table.js";
 
 const SCOPES = [["read", "see everything"], ["ingest", "send telemetry and orbits"], ["operate", "calibrate, activate, add satellites"], ["admin", "all of it, and keys"]];
@@ -23,11 +24,36 @@ function create(again) {
   return [node, place];
 }
 
+// Where the page of an audit line's subject is, by what was done; null where it has none.
+const PAGES = {
+  session: ({ subject }) => `/sessions/${subject}`,
+  parameter_set: ({ subject }) => `/parameter-sets/${subject}`,
+  job: ({ subject }) => `/jobs?q=${subject}`,
+  satellite: ({ subject, action }) => (action === "satellite.remove" ? null : `/satellites/${subject}`),
+  magnetometer: ({ subject, satellite_id: satellite }) => `/satellites/${satellite}/magnetometers/${subject}`,
+  orbit: ({ satellite_id: satellite }) => (satellite ? `/satellites/${satellite}#orbits` : null),
+};
+
+function subjectOf(row, names) {
+  const kind = row.action.split(".")[0];
+  const page = PAGES[kind]?.(row);
+  if (names.has(row.subject)) return names.get(row.subject);
+  const said = /^[0-9a-f]{32}$/.test(row.subject) ? short(row.subject) : row.subject;
+  return page ? h("a", { href: page, title: row.subject }, said) : said;
+}
+
 start(async () => {
   const list = h("div");
+  const names = new Map();
+  let drawn = null;
   async function draw() {
     const keys = await listed("/keys");
-    list.replaceChildren(table([
+    for (const key of keys) names.set(key.id, key.name ?? key.id);
+    if (drawn?.renew) {
+      drawn.renew(keys);
+      return;
+    }
+    drawn = table([
       { name: "key", value: (r) => r.id, show: (r) => h("code", {}, r.id) },
       { name: "name", value: (r) => r.name },
       { name: "scopes", value: (r) => r.scopes.join(" ") },
@@ -36,7 +62,8 @@ start(async () => {
       { name: "expires", value: (r) => r.expires_at, show: (r) => r.expires_at ? time(r.expires_at) : "never" },
       { name: "state", value: (r) => (r.revoked_at ? "revoked" : "in force") },
       { name: "action", value: () => "", show: (r) => r.revoked_at ? "" : h("button", { type: "button", onclick: () => revoke(r) }, "Revoke") },
-    ], keys, { caption: "Keys", file: "keys" }));
+    ], keys, { caption: "Keys", file: "keys" });
+    list.replaceChildren(drawn);
   }
   async function revoke(key) {
     const sure = await confirm("Revoke this key?", h("p", {}, `${key.name ?? key.id} (${key.scopes.join(", ")}) stops working at the next request. This cannot be undone.`), "Revoke");
@@ -46,14 +73,25 @@ start(async () => {
   }
   const audit = section("Audit trail", h("p", { class: "muted" }, "Loading …"));
   show(h("h1", {}, "Keys"), list, section("New key", ...create(draw)), audit);
+  let trail = null;
+  async function drawAudit() {
+    const events = await listed("/audit", 500);
+    if (trail) {
+      trail.renew(events);
+      return;
+    }
+    trail = table([
+      { name: "time", value: (r) => r.at, show: (r) => time(r.at) },
+      { name: "action", value: (r) => r.action },
+      { name: "subject", value: (r) => names.get(r.subject) ?? r.subject, show: (r) => subjectOf(r, names) },
+      { name: "satellite", value: (r) => r.satellite_id, show: (r) => r.satellite_id ? h("a", { href: `/satellites/${r.satellite_id}` }, r.satellite_id) : "–" },
+      { name: "by", value: (r) => names.get(r.key_id) ?? r.key_id, show: (r) => h("span", { title: r.key_id }, names.get(r.key_id) ?? r.key_id ?? "–") },
+      { name: "reason", value: (r) => r.reason },
+      { name: "address", value: (r) => r.address },
+    ], events, { caption: "Audit trail", file: "audit" });
+    audit.replaceChildren(audit.firstChild, trail);
+  }
   await draw();
-  const events = await listed("/audit", 500);
-  audit.replaceChildren(audit.firstChild, table([
-    { name: "time", value: (r) => r.at, show: (r) => time(r.at) },
-    { name: "action", value: (r) => r.action },
-    { name: "subject", value: (r) => r.subject },
-    { name: "satellite", value: (r) => r.satellite_id },
-    { name: "key", value: (r) => r.key_id },
-    { name: "address", value: (r) => r.address },
-  ], events, { caption: "Audit trail", file: "audit" }));
+  await drawAudit();
+  live(() => draw().then(drawAudit));
 });

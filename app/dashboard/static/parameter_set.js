@@ -2,12 +2,14 @@
 import { api, causes, confirm, facts, fixed, form, field, grade, h, listed, may, notice, nt, option, section, short, show, start, SYMBOLS, tiles, time, title } from "./magcal.js";
 import { differenceTable, parameterTable, statisticsTable } from "./parameters.js";
 import { follow } from "./job.js";
+import { live } from "./live.js";
 import { notes } from "./notes.js";
 import { plot, whenNear } from "./plot.js";
 import { whatIf } from "./refit.js";
 import { table } from "./table.js";
 
 const id = location.pathname.split("/")[2];
+let again = () => null;
 const CONVENTIONS = ["exact", "first-order", "symmetric", "lower-triangular", "a-matrix", "on-board"];
 
 async function activeOf(record) {
@@ -67,9 +69,11 @@ function buttons(record) {
 // Each reason as a sentence with its figure, which limit it passed, and the button that may mend it; codes small behind.
 function reasonsOf(record, reasons) {
   const place = h("div", {}, h("ul", {}, reasons.map((reason) => h("li", {}, reason))));
-  api(`/parameter-sets/${record.id}/reasons`).then(({ items }) => place.replaceChildren(...items.map((one) => h("div", { class: "reason" },
+  // A cure that is under way stays: its progress stands in the place of its button.
+  place.ask = () => place.querySelector("progress") ? null : api(`/parameter-sets/${record.id}/reasons`).then(({ items }) => place.replaceChildren(...items.map((one) => h("div", { class: "reason" },
     h("strong", {}, one.sentence), ` ${one.figure} `, one.grade && one.grade !== "accept" ? h("span", { class: `badge ${one.grade}` }, one.grade === "refuse" ? "limit of refuse" : "limit of weak") : null, " ",
     h("a", { href: one.page }, h("code", {}, one.code)), cure(one.cure), one.grade === "accept" ? null : h("small", {}, `What to do: ${one.advice}.`)))), () => {});
+  place.ask();
   return place;
 }
 
@@ -93,10 +97,10 @@ function cure(offered) {
   return place;
 }
 
-function verdict(record) {
-  const { grade: name, reasons } = record.verdict;
+function verdict(record, reasons) {
+  const { grade: name } = record.verdict;
   return h("section", { class: `verdict ${name}`, "aria-label": "Verdict" }, h("div", { class: "word" }, `${SYMBOLS[name]} ${name}`),
-    reasonsOf(record, reasons), causes(record.diagnosis),
+    reasons, causes(record.diagnosis),
     record.advice?.length ? [h("h2", {}, "Advice"), h("ul", {}, record.advice.map((one) => h("li", {}, one)))] : null,
     record.warnings.length ? [h("h2", {}, "Warnings"), h("ul", {}, record.warnings.map((warning) => h("li", {}, warning)))] : null);
 }
@@ -209,11 +213,18 @@ async function draw() {
   const { statistics, observability } = record;
   const figure = (name, ...rest) => plot(`/parameter-sets/${id}/figures/${name}`, ...rest);
   const others = h("div", {}, h("p", { class: "muted" }, "Loading …"));
+  const reasons = reasonsOf(record, record.verdict.reasons);
+  const [status, acts] = [h("span"), h("div")];
+  const stand = (now) => {
+    status.replaceChildren(h("span", { class: `badge status-${now.status}` }, now.status));
+    acts.replaceChildren(buttons(now));
+  };
+  stand(record);
   title(`${record.satellite} ${short(id)}`);
   show(
-    h("div", { class: "heading" }, h("h1", {}, `Parameter set ${short(id)}`, " ", h("span", { class: `badge status-${record.status}` }, record.status)),
-      h("p", { class: "muted" }, h("a", { href: `/satellites/${record.satellite}` }, record.satellite), ` · ${record.magnetometer} · ${record.method} · ${time(record.data_from)} to ${time(record.data_until)} UTC`), buttons(record)),
-    verdict(record),
+    h("div", { class: "heading" }, h("h1", {}, `Parameter set ${short(id)}`, " ", status),
+      h("p", { class: "muted" }, h("a", { href: `/satellites/${record.satellite}` }, record.satellite), ` · ${record.magnetometer} · ${record.method} · ${time(record.data_from)} to ${time(record.data_until)} UTC`), acts),
+    verdict(record, reasons),
     tiles(["residual RMS", `${fixed(statistics.before.rms_nt, 0)} → ${nt(statistics.after.rms_nt)}`, "before → after"],
       ["cross-validated", nt(statistics.cross_validated_rms_nt), "six blocks of time, each left out in turn"],
       ["samples", fixed(statistics.samples, 0), `${fixed(statistics.rejected, 0)} left out`],
@@ -239,10 +250,22 @@ async function draw() {
     section("Export for flight software", exporter(record)),
     notes(`/parameter-sets/${id}`),
     section("Provenance", provenance(record)));
-  whenNear(others, async () => {
+  const compare = async () => {
     const rows = await listed(`/satellites/${record.satellite}/history?magnetometer=${encodeURIComponent(record.magnetometer)}`, 1000);
     others.replaceChildren(comparer(record, rows));
-  });
+  };
+  let isNear = false;
+  whenNear(others, () => { isNear = true; return compare(); });
+  // The numbers of a set never change; whether it is in force, what mends it and what it may be compared with do.
+  again = async () => {
+    stand(await api(`/parameter-sets/${id}`));
+    await reasons.ask();
+    if (isNear && !others.contains(document.activeElement)) await compare();
+  };
+  return record;
 }
 
-start(draw);
+start(async () => {
+  const { satellite } = await draw();
+  live(() => again(), { satellite });
+});

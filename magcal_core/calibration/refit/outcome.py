@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
 from magcal_core.calibration.terms.clock import ClockTest
 from magcal_core.calibration.terms.regressor_selection import Ablation
 from magcal_core.calibration.uncertainty.bootstrap import Bootstrap
 from magcal_core.sensor.parameters import Parameters
-
-Span = tuple[np.datetime64, np.datetime64]
+from magcal_core.telemetry.spans import Span
 
 
 @dataclass(frozen=True, slots=True)

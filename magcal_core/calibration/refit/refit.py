@@ -21,7 +21,7 @@ from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.normal_equations import Equations
 from magcal_core.calibration.refit.block_sums import BlockSums
 from magcal_core.calibration.refit.moments import FitMoments
-from magcal_core.calibration.refit.outcome import ParameterChange, Refit, RefitOptions, Span
+from magcal_core.calibration.refit.outcome import ParameterChange, Refit, RefitOptions
 from magcal_core.calibration.terms.clock import ClockTest
 from magcal_core.calibration.terms.regressor_selection import MAX_TERMS, Ablation, held_out_cost, is_borne_out
 from magcal_core.calibration.uncertainty.bootstrap import Bootstrap, drawn
@@ -32,6 +32,7 @@ from magcal_core.errors import NotObservableError, OptionError
 from magcal_core.numerics.blocks import BlockScores
 from magcal_core.numerics.linear_algebra import scaled_inverse
 from magcal_core.sensor.parameters import Parameters
+from magcal_core.telemetry.spans import Span
 
 HIDDEN_ERRORS: Final = (
     "hidden_errors_not_kept: the moments are from before they had errors locked to the orbit and errors of the "
