@@ -36,6 +36,7 @@ class OptionValues(TypedDict, total=False):
     robust: str
     noise_model: str
     noise_nt: float | None
+    integration_s: float | None
     bias_steps: str
     windows: float | str | None
     locked_terms: str
@@ -73,6 +74,7 @@ class CalibrationOptions:
     noise_model : ``none``, ``white`` noise in the reading, or ``auto``: white where it moves a parameter by half its
         standard error.
     noise_nt : noise of one component, nT, where it is known.
+    integration_s : seconds about its time stamp over which the sensor averages a reading; None or 0: none.
     bias_steps : ``auto``: look for steps of the bias inside the data and name them; ``fit``: fit them as well;
         ``none``.
     windows : hours of windows that are calibrated one by one beside the whole, with their trend, or ``auto``.
@@ -103,6 +105,7 @@ class CalibrationOptions:
     robust: str = "auto"
     noise_model: str = "auto"
     noise_nt: float | None = None
+    integration_s: float | None = None
     bias_steps: str = "auto"
     windows: float | str | None = None
     locked_terms: str = "auto"
@@ -258,6 +261,7 @@ _CHECKS: Final[Mapping[str, _Check]] = {
     "robust": _one_of(ROBUST_LOSSES),
     "noise_model": _one_of(NOISE_MODELS),
     "noise_nt": _number(1e-6, 1e6, "nT", may_be_none=True),
+    "integration_s": _number(0.0, 60.0, "s", may_be_none=True),
     "bias_steps": _one_of(BIAS_STEPS),
     "windows": _windows,
     "locked_terms": _one_of(LOCKED_TERMS),

@@ -11,6 +11,7 @@ from magcal_core.bias_in_session import Session, wants_moments, with_moving_bias
 from magcal_core.calibration.result import Calibration
 from magcal_core.calibration.sessions.monitoring import ActiveSet
 from magcal_core.errors import EstimationError, FrameError, UnitsError
+from magcal_core.estimation.averaging import averaged_by_gyros
 from magcal_core.estimation.clock import with_clock
 from magcal_core.estimation.diagnosis import diagnosed, refused, with_cause
 from magcal_core.estimation.estimate import Estimate, Prepared
@@ -87,6 +88,8 @@ def calibrate(
     tell(0.2)
     try:
         estimate = _estimate(referenced, chosen)
+        if (turning := averaged_by_gyros(estimate)) is not None:
+            estimate = _estimate(turning, chosen)
         tell(0.6)
         judgement = judged(estimate, active)
     except (EstimationError, FrameError, UnitsError) as error:

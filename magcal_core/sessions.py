@@ -16,6 +16,7 @@ from magcal_core.calibration.sessions.joint import DEFAULT_SHARED, JointFit, joi
 from magcal_core.calibration.sessions.monitoring import ActiveSet, SessionJudgement, judge_session
 from magcal_core.calibration.sessions.two_magnetometers import Comparison, CorrectedReadings, compare_magnetometers
 from magcal_core.errors import EstimationError, OptionError
+from magcal_core.estimation.averaging import averaging_by_gyros, rate_by_gyros
 from magcal_core.estimation.session import LockedSession
 from magcal_core.estimation.surrounded_session import SurroundedSession
 from magcal_core.field import FieldModel
@@ -25,6 +26,7 @@ from magcal_core.field.sources import FieldSources
 from magcal_core.observations import Observations, corrected_nt
 from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
+from magcal_core.reference.averaging import GYROS, Averaging, BodyRate
 from magcal_core.reference.columns import with_reference
 from magcal_core.reference.referenced_samples import Referenced, has_columns, in_time_order, oriented
 from magcal_core.reference.rows_asked_for import rows_asked_for
@@ -137,13 +139,14 @@ def monitor(
     filled, report = with_reference(
         in_time_order(samples), orbits, field, time_offset_s=offset_s, max_orbit_age_days=max_orbit_age_days
     )
+    filled, averaging = averaged_as_in(record, active.parameters, filled)
     usable = filled.is_used & np.isfinite(_reference_of(filled, is_vector=active.is_vector))
     usable &= has_columns(filled, tuple(active.parameters.regressors))
     active = _since(active, filled, usable)
     columns = list(active.parameters.regressors)
     observations = Observations.of(oriented(filled, usable), columns, usable.astype(np.float64))
     external = ExternalKnowledge.of(field, FieldSources() if sources is None else sources)
-    session = LockedSession(Referenced(filled, report, orbits, field, external), usable, active.is_vector)
+    session = LockedSession(Referenced(filled, report, orbits, field, external, averaging), usable, active.is_vector)
     is_asked = _option(record, "locked_terms", "auto") == "auto"
     is_clock_known = active.parameters.time_offset_s is not None
     return judge_session(observations, active, SurroundedSession(session, is_asked, is_clock_known))
@@ -161,7 +164,38 @@ def field_of_record(record: Mapping[str, object], sources: FieldSources | None =
     return field_model(str(record.get("field_model", "igrf")), index_gap=str(gap), sources=sources)
 
 
-def _option(record: Mapping[str, object], name: str, default: str) -> object:
+def averaged_as_in(
+    record: Mapping[str, object], parameters: Parameters, samples: Samples, rate: BodyRate | None = None
+) -> tuple[Samples, Averaging | None]:
+    """Return ``samples``, in time order with their reference, as the sensor of a parameter set averages it, and how.
+
+    ``record``, ``parameters``: those of the set, at the rate of whose source; ``rate``: how the base frame turns, where
+    more attitudes than those of ``samples`` tell it.
+    """
+    integration_s = _option(record, "integration_s", None)
+    if not isinstance(integration_s, (int, float)) or not integration_s:
+        return samples, None
+    if (turning := _gyro_rate(record, samples)) is not None:
+        averaging = averaging_by_gyros(samples, integration_s, turning, parameters)
+        return averaging.applied(samples), averaging
+    if rate is None:
+        rate = BodyRate.of_attitude(samples.t_utc, samples.q_base_gcrf)
+    averaging = Averaging.of_components(integration_s, rate, samples.b_ref_base_nt)
+    return averaging.applied(samples), averaging
+
+
+def _gyro_rate(record: Mapping[str, object], samples: Samples) -> BodyRate | None:
+    """Return how the base frame turns by the gyros that told it to a parameter set; None where none did."""
+    said, gyro, columns = record.get("averaging"), record.get("gyro"), _option(record, "gyro", None)
+    if not isinstance(said, Mapping) or said.get("rate_from") != GYROS or not isinstance(gyro, Mapping):
+        return None
+    if not isinstance(columns, (list, tuple)) or not set(columns) <= set(samples.housekeeping):
+        return None
+    rotation, bias_deg_s = (np.asarray(gyro[name], np.float64) for name in ("rotation", "bias_deg_s"))
+    return rate_by_gyros(samples, columns, str(_option(record, "gyro_unit", "deg/s")), rotation, bias_deg_s)
+
+
+def _option(record: Mapping[str, object], name: str, default: str | None) -> object:
     """Return an option of the job that a parameter set is of."""
     provenance = record.get("provenance")
     options = provenance.get("options") if isinstance(provenance, Mapping) else None

@@ -126,6 +126,8 @@ def _estimation_options(function: F) -> F:
         click.option("--robust", type=click.Choice(ROBUST_LOSSES), help="Loss.  [default: auto]"),
         click.option("--noise-model", type=click.Choice(NOISE_MODELS), help="[default: auto]"),
         click.option("--noise", "noise_nt", type=float, help="Noise of a component, nT, where it is known."),
+        click.option("--integration", "integration_s", type=float,
+                     help="Seconds about its time stamp over which the sensor averages a reading."),
         click.option("--bias-steps", type=click.Choice(BIAS_STEPS),
                      help="Steps of the bias inside the data: named, fitted, or not looked for.  [default: auto]"),
         click.option("--windows", type=Windows(),

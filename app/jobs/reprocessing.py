@@ -22,6 +22,7 @@ from app.jobs.schemas import ReprocessingBody
 from app.jobs.tables import Job, JobSession
 from app.jobs.transitions import UNENDED, counts_of, new_job
 from app.records.calibration_options import as_asked
+from app.satellites.reading import options_of
 from app.satellites.repository import SatelliteRepository, within_reach
 from app.satellites.tables import Magnetometer
 from app.sessions.tables import TelemetrySession
@@ -50,12 +51,12 @@ def submit_reprocessing(
     satellites = {row.satellite_id for row in chosen}
     satellite_id = satellites.pop() if len(satellites) == 1 else None
     parent = new_job(KIND, body.priority, options | file, caller.key_id, is_sum=True, satellite_id=satellite_id)
-    noise_nt = _noise(session)
+    said = _said(session)
     jobs = [
         new_job(
             "calibration",
             body.priority,
-            as_asked(CalibrationOptions.from_dict({"noise_nt": noise_nt[_place(row)]} | body.options)) | file,
+            as_asked(CalibrationOptions.from_dict(said[_place(row)] | body.options)) | file,
             caller.key_id,
             satellite_id=row.satellite_id,
             magnetometer_id=row.magnetometer_id,
@@ -140,9 +141,9 @@ def _place(row: TelemetrySession) -> tuple[str, str]:
     return row.satellite_id, row.magnetometer_id
 
 
-def _noise(session: Session) -> dict[tuple[str, str], float | None]:
-    rows = session.execute(select(Magnetometer.satellite_id, Magnetometer.id, Magnetometer.noise_nt))
-    return {(satellite_id, magnetometer_id): noise_nt for satellite_id, magnetometer_id, noise_nt in rows}
+def _said(session: Session) -> dict[tuple[str, str], dict[str, object]]:
+    """Return what each magnetometer says of its calibrations' options."""
+    return {(row.satellite_id, row.id): options_of(row) for row in session.scalars(select(Magnetometer))}
 
 
 def progress_of(session: Session, parent_id: str) -> float:

@@ -11,11 +11,12 @@ from magcal_core.arrays import Floats
 from magcal_core.field.sources import FieldSources
 from magcal_core.observations import Observations, residuals_nt
 from magcal_core.orbit import Orbit
+from magcal_core.reference.averaging import BodyRate
 from magcal_core.reference.columns import with_reference
 from magcal_core.samples import Samples
 from magcal_core.sensor.parameters import Parameters
 from magcal_core.sensor.regressors import NO_TIME_BASE, TIME_REGRESSOR
-from magcal_core.sessions import field_of_record
+from magcal_core.sessions import averaged_as_in, field_of_record
 
 MOST_SAMPLES: Final = 20_000
 """Samples that are looked at; a longer session is thinned evenly."""
@@ -40,9 +41,11 @@ def residual_under(
     if is_since and parameters.time_base_utc is None:
         raise ConflictError(NO_TIME_BASE)
     used = samples.take(samples.is_used)
-    thinned = used.take(slice(None, None, max(len(used) // MOST_SAMPLES, 1)))
+    some = slice(None, None, max(len(used) // MOST_SAMPLES, 1))
+    thinned, rate = used.take(some), BodyRate.of_attitude(used.t_utc, used.q_base_gcrf).take(some)
     field = field_of_record(dict(record), sources)
     referenced, _ = with_reference(thinned, orbits, field, time_offset_s=parameters.time_offset_s or 0.0)
+    referenced, _ = averaged_as_in(dict(record), parameters, referenced, rate)
     if is_since:
         parameters = parameters.at_time_base(referenced.t_utc[referenced.is_used][0])
     observations = Observations.of(referenced, tuple(parameters.regressors))

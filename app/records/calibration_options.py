@@ -63,6 +63,9 @@ class CalibrationOptionsBody(Body):
     robust: Annotated[str, OneOf(ROBUST_LOSSES)] | None = None
     noise_model: Annotated[str, OneOf(NOISE_MODELS)] | None = None
     noise_nt: float | None = Field(None, gt=0, description="Unset: the magnetometer's.")
+    integration_s: float | None = Field(
+        None, ge=0, le=60, description="Time over which a reading is averaged, s; unset: the magnetometer's."
+    )
     bias_steps: Annotated[str, OneOf(BIAS_STEPS)] | None = Field(
         None, description="Steps of the bias inside the data: named, fitted, or not looked for."
     )

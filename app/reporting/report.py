@@ -131,6 +131,7 @@ def command_line(record: ParameterSetRecord) -> str:
         "robust": options.get("robust"),
         "noise-model": options.get("noise_model"),
         "noise": options.get("noise_nt"),
+        "integration": options.get("integration_s") or None,
         "bias-steps": options.get("bias_steps"),
         "windows": options.get("windows"),
         "locked-terms": options.get("locked_terms"),

@@ -17,6 +17,11 @@ def unit_of(row: Magnetometer) -> str:
     return row.unit if row.nt_per_count is None else COUNTS
 
 
+def options_of(row: Magnetometer) -> dict[str, object]:
+    """Return what a magnetometer says of its calibrations' options; a request may say otherwise."""
+    return {"noise_nt": row.noise_nt, "integration_s": row.integration_s}
+
+
 def changed(row: Magnetometer, wanted: Mapping[str, object]) -> None:
     """Set on ``row`` what is ``wanted`` of its telemetry, checked.
 

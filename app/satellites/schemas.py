@@ -73,6 +73,12 @@ class MagnetometerCreate(ReadingBody):
     id: Slug
     unit: Unit
     noise_nt: float | None = Field(None, gt=0, description="Noise of one reading, nT, 1 sigma.")
+    integration_s: float | None = Field(
+        None,
+        ge=0,
+        le=60,
+        description="Time about its stamp over which the sensor averages a reading, s; unset or 0: it does not.",
+    )
     policy: Policy | None = None
 
 
@@ -83,6 +89,7 @@ class MagnetometerRead(Record):
     satellite: str
     unit: str
     noise_nt: float | None
+    integration_s: float | None
     columns: dict[str, str] | None
     axis_map: list[str] | None
     range_nt: float | None
@@ -142,6 +149,7 @@ class MagnetometerChange(ReadingBody):
 
     unit: Unit | None = None
     noise_nt: float | None = Field(None, gt=0)
+    integration_s: float | None = Field(None, ge=0, le=60)
     policy: Policy | None = None
 
 

@@ -41,6 +41,7 @@ class Magnetometer(Base):
     id: Mapped[str] = mapped_column(String(63), primary_key=True)
     unit: Mapped[str] = mapped_column(String(2))
     noise_nt: Mapped[float | None]
+    integration_s: Mapped[float | None]
     columns: Mapped[dict[str, str] | None] = mapped_column(JsonColumn)
     axis_map: Mapped[list[str] | None] = mapped_column(JsonColumn)
     range_nt: Mapped[float | None]

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
+from magcal_core.arrays import Floats
 from magcal_core.calibration.diagnosis.gyro_mounting import GyroMounting, GyroSession, gyro_mounting
 from magcal_core.calibration.diagnosis.mounting import Mounting
 from magcal_core.errors import OptionError
 from magcal_core.estimation.estimate import Estimate
 from magcal_core.estimation.inertial_field import inertial_field_nt
 from magcal_core.observations import corrected_nt
+from magcal_core.samples import Samples
 
 RAD_S: Final = {"deg/s": np.pi / 180.0, "rad/s": 1.0}
 _FEWEST: Final = 40
@@ -36,7 +39,7 @@ def gyros_of(estimate: Estimate) -> GyroMounting | None:
     b_nt = inertial_field_nt(referenced, estimate.usable)
     if b_nt is None:
         raise OptionError("gyro: the inertial field is not known; give an orbit, or ref_eci_x, ref_eci_y, ref_eci_z")
-    rates = np.column_stack([np.asarray(keeping[name], np.float64)[estimate.usable] for name in options.gyro])
+    rates = sent_rates(referenced.samples, options.gyro, options.gyro_unit)[estimate.usable]
     known = np.isfinite(rates).all(axis=1) & np.isfinite(b_nt).all(axis=1)
     if np.count_nonzero(known) < _FEWEST:
         return GyroMounting("refused", "few_windows")
@@ -44,10 +47,15 @@ def gyros_of(estimate: Estimate) -> GyroMounting | None:
         estimate.observations.t_s[known],
         corrected_nt(estimate.observations, estimate.fit.parameters)[known],
         b_nt[known],
-        rates[known] * RAD_S[options.gyro_unit],
+        rates[known],
         estimate.fit.weights[known],
     )
     return gyro_mounting(session)
+
+
+def sent_rates(samples: Samples, columns: Sequence[str], unit: str) -> Floats:
+    """Return the angular rate in the ``columns`` of ``samples``, shape (n, 3), rad/s, along the gyro axes."""
+    return np.column_stack([np.asarray(samples.housekeeping[name], np.float64) for name in columns]) * RAD_S[unit]
 
 
 def mounting_by_gyros(estimate: Estimate, known: Mounting, found: GyroMounting | None) -> Mounting:

@@ -21,6 +21,7 @@ from magcal_core.calibration.terms.regressor_selection import untold_terms, usab
 from magcal_core.calibration.uncertainty.bootstrap import bootstrap
 from magcal_core.calibration.verdict.assessment import Judgement, extras_of, matrix_standard_errors
 from magcal_core.errors import IndexRangeError, OrbitMissingError
+from magcal_core.estimation.averaging import said_of_averaging
 from magcal_core.estimation.estimate import Estimate, still
 from magcal_core.estimation.gyros import gyros_of, mounting_by_gyros
 from magcal_core.estimation.judgement import Judged, source_of_reference, storm_of
@@ -91,6 +92,8 @@ def _extras(estimate: Estimate, judged: Judged, diagnosis: Diagnosis | None) -> 
         "error_budget": _budget(estimate, judgement),
         "mounting": mounting_by_gyros(estimate, mounting_of(_oriented(estimate), fit.parameters), gyros).to_dict(),
     }
+    if (averaging := said_of_averaging(estimate)) is not None:
+        extras["averaging"] = averaging.to_dict()
     referenced = estimate.prepared.referenced
     if (index := referenced.external.series(referenced.placed()[0])) is not None:
         extras["external_index"] = index
@@ -175,7 +178,10 @@ def _resampled(estimate: Estimate, judgement: Judgement) -> Mapping[str, object]
 
 def _budget(estimate: Estimate, judgement: Judgement) -> list[dict[str, object]]:
     samples = estimate.prepared.referenced.samples
-    found = error_budget(samples, source_of_reference(estimate), judgement.after.rms_nt)
+    averaging = said_of_averaging(estimate)
+    unknown = None if averaging is None else averaging.budget_item
+    beside = () if unknown is None else (unknown,)
+    found = error_budget(samples, source_of_reference(estimate), judgement.after.rms_nt, beside=beside)
     return [item.to_dict() for item in found]
 
 
@@ -282,6 +288,8 @@ def _warnings(estimate: Estimate, judged: Judged) -> tuple[str, ...]:
         found.append(estimate.odd_light.warning)
     if (storm := storm_of(estimate.prepared.referenced)) is not None:
         found.append(f"storm: {storm.text}")
+    if (averaging := said_of_averaging(estimate)) is not None:
+        found += averaging.warnings(estimate.fit.parameters.scale, judgement.standard_errors.scale)
     if not estimate.estimator.is_vector:
         found.append("reflection_free: |B| alone cannot show an inverted axis, nor a rotation of the whole sensor")
     found += residual_warnings(

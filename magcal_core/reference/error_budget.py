@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -97,14 +97,19 @@ class ReferenceSource:
 
 
 def error_budget(
-    samples: Samples, source: ReferenceSource, residual_rms_nt: float | None = None
+    samples: Samples,
+    source: ReferenceSource,
+    residual_rms_nt: float | None = None,
+    *,
+    beside: Sequence[BudgetItem] = (),
 ) -> tuple[BudgetItem, ...]:
     """Return the error budget of the reference of ``samples``, with the total as its last item.
 
     All figures are of |B|, or root mean squares over the three components where ``source.is_vector``.
     ``residual_rms_nt`` is what the calibration left, nT: the total says how much of it the reference explains.
+    ``beside``: what else is wrong with it.
     """
-    items = [*_positional(samples, source), *_sources(samples, source)]
+    items = [*_positional(samples, source), *_sources(samples, source), *beside]
     if source.is_vector:
         items.append(
             BudgetItem("attitude", None, "not known here; 0.1 deg are 0.14 % of the field a component, 57 nT at 40 uT")

@@ -18,6 +18,7 @@ from magcal_core.field.sources import FieldSources
 from magcal_core.observations import Observations
 from magcal_core.orbit import Orbit
 from magcal_core.orbit.earth.timescales import nanoseconds
+from magcal_core.reference.averaging import Averaging, averaged_by_attitude
 from magcal_core.reference.columns import (
     TELEMETRY_POSITION,
     TELEMETRY_REFERENCE,
@@ -97,6 +98,11 @@ class ReferenceOptions(Protocol):
         ...
 
     @property
+    def integration_s(self) -> float | None:
+        """Time over which the sensor averages a reading, s; None or 0: it does not."""
+        ...
+
+    @property
     def is_plain(self) -> bool:
         """Whether every reading counts, as for the plain fit of published figures."""
         ...
@@ -116,6 +122,8 @@ class Referenced:
         What it was computed with.
     external : ExternalKnowledge
         What is known of the external field beside the model.
+    averaging : Averaging, optional
+        How the reference was averaged over the sensor's integration time, where it has one.
     """
 
     samples: Samples
@@ -123,6 +131,7 @@ class Referenced:
     orbits: Sequence[Orbit]
     field: FieldModel
     external: ExternalKnowledge
+    averaging: Averaging | None = None
 
     @classmethod
     def of(
@@ -149,7 +158,8 @@ class Referenced:
             known = known.flagged(SampleFlag.NOT_QUIET, external.not_quiet(nanoseconds(known.t_utc)))
         used = _numerical(orbits, known) if options.orbit == "numerical" else list(orbits)
         filled, report = with_reference(known, used, field, max_orbit_age_days=options.max_orbit_age_days)
-        return cls(filled, report, used, field, external)
+        averaged, averaging = averaged_by_attitude(filled, options.integration_s)
+        return cls(averaged, report, used, field, external, averaging)
 
     @property
     def age_days(self) -> float:
@@ -218,10 +228,11 @@ class Referenced:
         t_utc, q = self.samples.t_utc[usable], None
         if unmoved.b_base_nt is not None and self.samples.q_base_gcrf is not None:
             q = self.samples.q_base_gcrf[usable]
+        averaging = None if self.averaging is None else self.averaging.take(usable).take(rows)
         if rows != slice(None):
             unmoved, t_utc, q = unmoved.take(rows), t_utc[rows], None if q is None else q[rows]
         reference = MovingReference.about(t_utc, self.orbits, self.field, is_gcrf=q is not None, uses=uses)
-        return MovableObservations(unmoved, t_utc, q, reference)
+        return MovableObservations(unmoved, t_utc, q, reference, averaging)
 
 
 def has_columns(samples: Samples, regressors: Sequence[str]) -> NDArray[np.bool_]:
@@ -254,12 +265,15 @@ class MovableObservations:
         Unit quaternion, scalar first: ``v_base = C(q) v_gcrf``.
     reference : MovingReference
         The reference at other times.
+    averaging : Averaging, optional
+        What the sensor's integration time makes of it.
     """
 
     unmoved: Observations
     t_utc: Times
     q_base_gcrf: Floats | None
     reference: MovingReference
+    averaging: Averaging | None = None
 
     def at(self, shift_s: Floats, rows: slice = slice(None)) -> Observations:
         """Return the observations ``rows`` with the reference ``shift_s``, shape (rows,), s, after the clock's time.
@@ -271,6 +285,8 @@ class MovableObservations:
         """
         moved = self.t_utc[rows] + np.round(shift_s * 1e9).astype("timedelta64[ns]")
         b_nt, b_base_nt = self.reference.at(moved, None if self.q_base_gcrf is None else self.q_base_gcrf[rows])
+        if self.averaging is not None:
+            b_nt, b_base_nt = self.averaging.take(rows).of_reference(b_nt, b_base_nt)
         here = self.unmoved if rows == slice(None) else self.unmoved.take(rows)
         return replace(here, b_nt=b_nt, b_base_nt=b_base_nt)
 

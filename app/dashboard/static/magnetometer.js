@@ -44,6 +44,7 @@ function reading(magnetometer) {
     field("unit", "Unit of its readings", {}, choices.units.map((one) => option(one, one, one === magnetometer.unit))),
     field("nt_per_count", "nT in one count, with the unit counts", { type: "number", min: 0, step: "any", value: magnetometer.nt_per_count }),
     field("noise_nt", "Noise of one reading, nT (1 sigma)", { type: "number", min: 0, step: "any", value: magnetometer.noise_nt }),
+    field("integration_s", "Averages a reading over, s: about its time stamp", { type: "number", min: 0, max: 60, step: "any", value: magnetometer.integration_s }),
     field("range_nt", "Range, nT: beyond it a reading is saturated", { type: "number", min: 0, step: "any", value: magnetometer.range_nt }),
     field("time_format", "Form of the times", { list: "time-forms", placeholder: "ISO 8601 with a zone, or seconds since 1970", value: magnetometer.time_format, maxlength: 100 }),
     field("time_epoch", "Seconds since boot count from; year of doy", { placeholder: "2022-02-19T22:00:00Z", value: magnetometer.time_epoch }),
@@ -56,7 +57,7 @@ function reading(magnetometer) {
     const axes = ["x", "y", "z"].map((axis) => values[`axis_${axis}`]);
     const columns = map.read();
     await api(PATH, { method: "PATCH", json: {
-      unit: values.unit, nt_per_count: numberOr(values.nt_per_count), noise_nt: numberOr(values.noise_nt), range_nt: numberOr(values.range_nt),
+      unit: values.unit, nt_per_count: numberOr(values.nt_per_count), noise_nt: numberOr(values.noise_nt), integration_s: numberOr(values.integration_s), range_nt: numberOr(values.range_nt),
       time_format: values.time_format.trim() || null, time_epoch: values.time_epoch.trim() || null,
       fill_values: values.fill_values.trim() ? listOf(values.fill_values).map(Number) : null,
       validity_column: values.validity_column.trim() || null, valid_values: values.valid_values.trim() ? listOf(values.valid_values).map(numeric) : null,
@@ -69,7 +70,8 @@ function readingFacts(magnetometer) {
   const columns = Object.entries(magnetometer.columns ?? {}).map(([name, own]) => `${name} = ${own}`).join(", ");
   return facts([
     ["unit", magnetometer.unit + (magnetometer.nt_per_count ? ` of ${magnetometer.nt_per_count} nT` : "")],
-    ["noise, 1 sigma", magnetometer.noise_nt === null ? "not known" : `${magnetometer.noise_nt} nT`], ["range", magnetometer.range_nt === null ? "not known" : `${magnetometer.range_nt} nT`],
+    ["noise, 1 sigma", magnetometer.noise_nt === null ? "not known" : `${magnetometer.noise_nt} nT`],
+    ["averages over", magnetometer.integration_s ? `${magnetometer.integration_s} s` : "not said"], ["range", magnetometer.range_nt === null ? "not known" : `${magnetometer.range_nt} nT`],
     ["columns", columns || "magcal's own names"], ["axes", magnetometer.axis_map?.join(", ") ?? "as sent"],
     ["times", magnetometer.time_format ?? "ISO 8601 with a zone, or seconds since 1970"],
     ["no reading", [magnetometer.fill_values?.join(", "), magnetometer.validity_column && `where ${magnetometer.validity_column} says so`].filter(Boolean).join("; ") || "empty cells"]]);

@@ -89,11 +89,13 @@ function addMagnetometer() {
     field("id", "Id", { required: true, pattern: "[a-z0-9][a-z0-9._\\-]{0,62}", placeholder: "mgm-1" }),
     field("unit", "Unit of its readings", {}, UNITS.map((unit) => option(unit))),
     field("noise_nt", "Noise, nT (1 sigma)", { type: "number", min: 0, step: "any" }),
+    field("integration_s", "Averages a reading over, s", { type: "number", min: 0, max: 60, step: "any" }),
     field("range_nt", "Range, nT", { type: "number", min: 0, step: "any" }),
     field("columns", "Column names (JSON, magcal → yours)", { placeholder: '{"time": "ts", "bx": "mag_x"}' }),
   ], "Add magnetometer", async (values) => {
     const body = { id: values.id, unit: values.unit };
     if (values.noise_nt) body.noise_nt = Number(values.noise_nt);
+    if (values.integration_s) body.integration_s = Number(values.integration_s);
     if (values.range_nt) body.range_nt = Number(values.range_nt);
     if (values.columns) body.columns = parsed(values.columns);
     await api(`/satellites/${id}/magnetometers`, { method: "POST", json: body });

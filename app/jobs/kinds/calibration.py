@@ -24,6 +24,7 @@ from app.orbits.tables import OrbitRow
 from app.parameter_sets.repository import ParameterSetRepository
 from app.parameter_sets.tables import ParameterSet
 from app.records.calibration_options import as_asked, as_options
+from app.satellites.reading import options_of
 from app.satellites.repository import SatelliteRepository
 from app.sessions.repository import SessionRepository, identity
 from app.sessions.tables import Chunk, TelemetrySession
@@ -81,7 +82,7 @@ class CalibrationKind:
             raise ConflictError("a session has no samples yet")
         satellite_id, magnetometer_id = places.pop()
         magnetometer = SatelliteRepository(session, caller).magnetometer(satellite_id, magnetometer_id)
-        options = as_asked(CalibrationOptions.from_dict({"noise_nt": magnetometer.noise_nt} | body.options))
+        options = as_asked(CalibrationOptions.from_dict(options_of(magnetometer) | body.options))
         lock = f"{satellite_id}/{magnetometer_id}"
         if body.field_file is not None:
             options[FIELD_FILE] = body.field_file
