@@ -23,7 +23,7 @@ ALL_S: Final = 1.0
 
 def name_of(nodeid: str) -> str:
     """Return a test's name without its parameters: `tests.app.test_x::test_y`, classes joined by dots."""
-    path, *inside = nodeid.split("[")[0].split("::")
+    path, *inside = nodeid.split("[", maxsplit=1)[0].split("::")
     return "::".join([".".join([path.removesuffix(".py").replace("/", "."), *inside[:-1]]), inside[-1]])
 
 

@@ -24,7 +24,7 @@ from magcal_core.attitude.options import RomOptions
 
 LEASE_S, MOST_LOST = 10.0, 3
 LATER = REQUEST_VERSION + 1
-KNOWN = {2: "9bf394cd45b5e504"}
+KNOWN = {2: "b3587ab52533cfe1"}
 """A digest of what a request of each version may say."""
 
 
