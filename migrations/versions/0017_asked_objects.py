@@ -3,8 +3,8 @@
 import sqlalchemy as sa
 from alembic import op
 
-revision = "0015_asked_objects"
-down_revision = "0014_set_life"
+revision = "0017_asked_objects"
+down_revision = "0016_integration"
 branch_labels = None
 depends_on = None
 
