@@ -22,9 +22,7 @@ from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats, Times
 from magcal_core.calibration.estimators.contract import Fit
-from magcal_core.calibration.estimators.scalar_kernel import accumulate_blocks, residuals
-from magcal_core.calibration.estimators.vector import axis_sums
-from magcal_core.calibration.refit.block_sums import BlockSums
+from magcal_core.calibration.refit.block_sums import BlockSums, scalar_sums, vector_sums
 from magcal_core.calibration.refit.choice import Choice
 from magcal_core.calibration.refit.locked_sums import LockedSums, locked_sums
 from magcal_core.calibration.refit.reference_sums import ReferenceSums, reference_sums
@@ -33,16 +31,13 @@ from magcal_core.calibration.uncertainty.consider_errors import ReferenceErrors,
 from magcal_core.calibration.uncertainty.honest_covariance import covered_s
 from magcal_core.errors import MomentsError
 from magcal_core.numerics.linear_algebra import scaled_inverse
-from magcal_core.numerics.regression import block_sums
 from magcal_core.observations import Observations
-from magcal_core.sensor.correction import readings_without
 from magcal_core.sensor.parameterisation import (
     Standardised,
     parameters_from_rows,
     rows_from_theta,
     rows_jacobian,
     theta_jacobian,
-    theta_of_parameters,
 )
 from magcal_core.sensor.parameters import Parameters
 
@@ -85,6 +80,8 @@ class FitMoments:
         What errors of the reference do to the unknowns, one row a source, at one standard deviation.
     begins, ends : datetime64[ns], shape (m,)
         First and last sample of each block, UTC.
+    own_begins, own_ends : datetime64[ns], shape (b,)
+        The same of the fit's own blocks; in moments from before these were kept, of the block that each is of.
     samples, duration_s
         Count, and time that they cover, s.
     trusted : shape (2, p)
@@ -115,6 +112,8 @@ class FitMoments:
     shifts: Floats
     begins: Times
     ends: Times
+    own_begins: Times
+    own_ends: Times
     samples: int
     duration_s: float
     trusted: Floats = field(default_factory=lambda: np.zeros((2, 0)))
@@ -126,6 +125,29 @@ class FitMoments:
     def firsts(self) -> NDArray[np.intp]:
         """First of the fit's own blocks in each block of ``sums``, shape (m,)."""
         return _firsts(len(self.weights), self.own.size)
+
+    @property
+    def of(self) -> NDArray[np.intp]:
+        """Return the block of ``sums`` that each of the fit's own blocks is of, shape (b,)."""
+        return np.repeat(np.arange(len(self.firsts)), np.diff([*self.firsts, len(self.weights)]))
+
+    def cut(self, shares: Floats) -> BlockSums:
+        """Return the sums with each of the fit's own blocks counted ``shares``, shape (b,), times.
+
+        Normal matrices are known of whole blocks alone, and so are costs: they have the share of the weight.
+        """
+        weights, counted = np.add.reduceat(self.weights * shares, self.firsts), self.shares_of_sums(shares)
+        scores = np.add.reduceat(self.scores * shares[:, None], self.firsts, axis=0)
+        return BlockSums(self.sums.normals * counted[:, None, None], scores, self.sums.costs * counted, weights)
+
+    def shares_of_sums(self, shares: Floats) -> Floats:
+        """Return how much each block of ``sums`` counts, shape (m,), where the fit's own count ``shares``, shape (b,).
+
+        By weight, and by number where a block has none.
+        """
+        alike = np.add.reduceat(shares, self.firsts) / np.bincount(self.of)
+        left = np.add.reduceat(self.weights * shares, self.firsts)
+        return np.divide(left, self.sums.weights, out=alike, where=self.sums.weights > 0.0)
 
     def parameters(self, own: Floats, names: Sequence[str]) -> Parameters:
         """Return the reported parameters at the unknowns ``own``, with the regressors ``names``."""
@@ -203,6 +225,8 @@ class FitMoments:
             weights=self.weights,
             begins=self.begins.astype("datetime64[ns]").astype(np.int64),
             ends=self.ends.astype("datetime64[ns]").astype(np.int64),
+            own_begins=self.own_begins.astype("datetime64[ns]").astype(np.int64),
+            own_ends=self.own_ends.astype("datetime64[ns]").astype(np.int64),
             trusted=self.trusted,
             **hidden,
         )
@@ -235,6 +259,7 @@ class FitMoments:
         normals[:, upper[1], upper[0]] = part["normals"]
         scores, weights = part["scores"].astype(np.float64) * size, part["weights"]
         firsts = _firsts(len(weights), own.size)
+        of = np.repeat(np.arange(len(firsts)), np.diff([*firsts, len(weights)]))
         by_block = np.add.reduceat(scores, firsts, axis=0), part["costs"], np.add.reduceat(weights, firsts)
         sums = BlockSums(normals * np.outer(size, size), *by_block)
         columns, fitted = head["columns"], head["fitted"]
@@ -258,6 +283,8 @@ class FitMoments:
             shifts=part["shifts"],
             begins=part["begins"].astype("datetime64[ns]"),
             ends=part["ends"].astype("datetime64[ns]"),
+            own_begins=part.get("own_begins", part["begins"][of]).astype("datetime64[ns]"),
+            own_ends=part.get("own_ends", part["ends"][of]).astype("datetime64[ns]"),
             samples=int(str(head["samples"])),
             duration_s=float(str(head["duration_s"])),
             trusted=part.get("trusted", np.zeros((2, 0))),
@@ -303,7 +330,7 @@ def moments_of_fit(  # noqa: PLR0917
     o, at = replace(observations, weights=fit.weights), replace(fit.parameters, time_offset_s=None)
     z = Standardised.of(tuple(o.regressors), list(o.regressors.values()), len(o))
     every, is_vector = fit.blocks.starts, fit.residuals_nt.ndim == 2
-    own, fine, unit = _vector_sums(o, at, z, every) if is_vector else _scalar_sums(o, at, z, every, fit.noise_nt)
+    own, fine, unit = vector_sums(o, at, z, every) if is_vector else scalar_sums(o, at, z, every, fit.noise_nt)
     firsts = _firsts(len(every), own.size)
     starts, sums = every[firsts], fine.together(firsts)
     made = FitMoments(
@@ -325,6 +352,8 @@ def moments_of_fit(  # noqa: PLR0917
         shifts=np.zeros((len(shifts), own.size)),
         begins=t_utc[starts],
         ends=t_utc[np.append(starts[1:], len(o)) - 1],
+        own_begins=t_utc[every],
+        own_ends=t_utc[np.append(every[1:], len(o)) - 1],
         samples=int(np.count_nonzero(o.weights > 0)),
         duration_s=covered_s(o.t_s),
         locked=None
@@ -343,43 +372,3 @@ def moments_of_fit(  # noqa: PLR0917
     for row, one in zip(made.shifts, shifts, strict=True):
         row[take[:sensor]] = np.linalg.solve(jacobian[:sensor, :sensor], one.shift[:sensor])
     return replace(made, noise=float(np.mean(np.diag(fit.covariance)[:9] / variances)))
-
-
-def _scalar_sums(
-    o: Observations, at: Parameters, z: Standardised, starts: NDArray[np.intp], noise_nt: float
-) -> tuple[Floats, BlockSums, float]:
-    """Return the unknowns (T^-1, c, slopes, clock), the sums of |T^-1 (h - b)| - |B|, and their unit over the fit's."""
-    m = len(starts)
-    theta = np.concatenate([theta_of_parameters(at, z), np.zeros(o.rate_nt_s.shape[1])])
-    normals, scores, r = np.empty((m, theta.size, theta.size)), np.empty((m, theta.size)), np.empty(len(o))
-    arrays = (o.h_nt, o.b_nt, o.weights, z.columns, o.rate_nt_s, theta)
-    accumulate_blocks(*arrays, 0, 1.0, noise_nt, starts, normals, scores)
-    residuals(o.h_nt, o.b_nt, z.columns, o.rate_nt_s, theta, noise_nt, r)
-    costs, weights = np.add.reduceat(o.weights * r**2, starts), np.add.reduceat(o.weights, starts)
-    return theta, BlockSums(normals, scores, costs, weights), 1.0
-
-
-def _vector_sums(
-    o: Observations, at: Parameters, z: Standardised, starts: NDArray[np.intp]
-) -> tuple[Floats, BlockSums, float]:
-    """Return the unknowns (T, b, slopes, clock), the sums of T B + b - h, and their unit over the fit's, nT^2.
-
-    Each axis counts by its own noise, as in the fit; here the mean of these weights is one.
-    """
-    matrix, b_nt = at.matrix, o.require_vector()
-    k, rates = len(z.names), o.rate_base_nt_s
-    m = 0 if rates is None else rates.shape[1]
-    r = readings_without(o.regressors, o.h_nt, at) - at.bias_nt - b_nt @ matrix.T
-    freedom = np.count_nonzero(o.weights > 0) - np.arange(2, 5) - len(at.regressors)
-    shares = np.maximum(freedom, 1) / np.maximum(o.weights @ r**2, 1e-24 * float(o.weights @ o.b_nt**2))
-    unit = 1.0 / float(shares.mean())
-    shares *= unit
-    columns = [b_nt.T, z.columns.T, *([] if rates is None else [rates.reshape(len(o), 3 * m).T])]
-    moments = block_sums(np.concatenate(columns), np.ascontiguousarray(r.T), o.weights, starts)
-    scores, normals = axis_sums(moments, matrix, shares, k, m)
-    slopes = [np.asarray(at.regressors.get(name, np.zeros(3))) for name in z.names]
-    bias_nt = at.bias_nt + sum((mean * slope for mean, slope in zip(z.mean, slopes, strict=True)), np.zeros(3))
-    scaled = [slope * spread for slope, spread in zip(slopes, z.spread, strict=True)]
-    own = np.concatenate([matrix[_LOWER], bias_nt, *scaled, np.zeros(m)])
-    costs, weights = np.add.reduceat((r**2 @ shares) * o.weights, starts), 3.0 * np.add.reduceat(o.weights, starts)
-    return own, BlockSums(normals, -scores, costs, weights), unit

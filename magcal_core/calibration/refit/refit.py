@@ -54,11 +54,10 @@ def refit(moments: FitMoments, options: RefitOptions) -> Refit:
         The blocks that are left do not determine the unknowns.
     """
     shares = _shares(moments, options.without)
-    weight = float(moments.sums.weights.sum())
-    left_out = 1.0 - float(moments.sums.weights @ shares) / weight
+    left_out = 1.0 - float(moments.weights @ shares) / float(moments.weights.sum())
     has_clock = _has_clock(moments, options)
     chosen = moments.fitted if options.regressors is None else options.regressors
-    problem = _Problem(moments, moments.sums.weighed(shares), shares, has_clock)
+    problem = _Problem(moments, moments.cut(shares), shares, has_clock)
     if chosen == "auto":
         names, ablation = _chosen(problem)
     else:
@@ -123,21 +122,21 @@ def _trusted(moments: FitMoments, found: Refit) -> Refit:
 @lru_cache(maxsize=8)
 def _nothing_else(moments: FitMoments) -> Refit:
     """Return the refit of nothing else; whoever asks for one mostly asks for others."""
-    problem = _Problem(moments, moments.sums, np.ones(len(moments.sums.costs)), moments.is_clock_fitted)
+    problem = _Problem(moments, moments.sums, np.ones(len(moments.weights)), moments.is_clock_fitted)
     ablation = (replace(problem.tried(moments.fitted), is_selected=True),)
     return _refit(problem, moments.fitted, ablation, 0.0, RefitOptions())
 
 
 def _shares(moments: FitMoments, without: Sequence[Span]) -> Floats:
-    """Return the share of each block's time that lies in none of the spans, shape (m,)."""
-    begins, ends = moments.begins, moments.ends
+    """Return the share of time of each of the fit's own blocks that lies in none of the spans, shape (b,)."""
+    begins, ends = moments.own_begins, moments.own_ends
     length = np.maximum((ends - begins) / np.timedelta64(1, "ns"), 1.0)
     inside = np.zeros(len(begins))
     for begin, end in _apart(without):
         overlap = np.minimum(ends, end) - np.maximum(begins, begin)
         inside += np.maximum(overlap / np.timedelta64(1, "ns"), 0.0) / length
     shares = np.clip(1.0 - inside, 0.0, 1.0)
-    if float(moments.sums.weights @ shares) < LEAST_SHARE * float(moments.sums.weights.sum()):
+    if float(moments.weights @ shares) < LEAST_SHARE * float(moments.weights.sum()):
         raise OptionError(f"without: the spans leave less than {LEAST_SHARE:.0%} of the data")
     return np.asarray(shares)
 
@@ -165,12 +164,17 @@ def _has_clock(moments: FitMoments, options: RefitOptions) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Problem:
-    """The moments with the blocks' ``shares``, shape (m,), in ``sums``, and whether the clock is an unknown."""
+    """The moments with ``shares`` of the fit's own blocks, shape (b,), in ``sums``; whether the clock is an unknown."""
 
     moments: FitMoments
     sums: BlockSums
     shares: Floats
     has_clock: bool
+
+    @property
+    def counted(self) -> Floats:
+        """How much each block of the sums counts, shape (m,)."""
+        return self.moments.shares_of_sums(self.shares)
 
     def require(self, names: Sequence[str]) -> None:
         """Refuse names of columns that the moments do not have."""
@@ -289,7 +293,7 @@ def _step(problem: _Problem, names: Sequence[str], base: BlockSums, take: NDArra
     if locked is None or not problem.has_clock:
         return _solved(base, take)
     step = np.zeros(problem.moments.own.size)
-    step[-1] = locked.clock_step_s(problem.moments.choice(names, problem.shares, has_clock=True))
+    step[-1] = locked.clock_step_s(problem.moments.choice(names, problem.counted, has_clock=True))
     return step + _solved(base.moved(step), take[:-1])
 
 
@@ -300,7 +304,7 @@ def _errors(
     moments = problem.moments
     take = problem.unknowns(names)
     blocks, honest = _honest(problem, after, own, take, left_out)
-    choice = moments.choice(names, problem.shares, has_clock=problem.has_clock)
+    choice = moments.choice(names, problem.counted, has_clock=problem.has_clock)
     covariance, move = honest.covariance, np.zeros(len(take))
     if moments.locked is not None:
         locked = moments.locked.errors(choice, moments.duration_s * (1.0 - left_out))
@@ -324,15 +328,14 @@ def _honest(
     problem: _Problem, after: BlockSums, own: Floats, take: NDArray[np.intp], left_out: float
 ) -> tuple[BlockScores, HonestCovariance]:
     """Return scores and normal matrices of the blocks that count, at the refit, and the covariance that they show."""
-    moments, firsts = problem.moments, problem.moments.firsts
+    moments, of = problem.moments, problem.moments.of
     jacobian = moments.to_parameters(own)[np.ix_(take, take)]
-    of = np.repeat(np.arange(len(firsts)), np.diff([*firsts, len(moments.weights)]))
     # A block of the fit has its share, by weight, of its neighbours' normal matrix and of what the step did to them.
-    share = moments.weights / np.maximum(moments.sums.weights[of], 1e-300)
-    counted = after.weights / np.maximum(moments.sums.weights, 1e-300)
-    moved = (after.scores - counted[:, None] * moments.sums.scores)[:, take]
-    counts = counted[of] > 0
-    scores = (counted[of, None] * moments.scores[:, take] + share[:, None] * moved[of])[counts]
+    left = moments.weights * problem.shares
+    share = left / np.maximum(problem.sums.weights[of], 1e-300)
+    moved = (after.scores - problem.sums.scores)[:, take]
+    counts = left > 0
+    scores = (problem.shares[:, None] * moments.scores[:, take] + share[:, None] * moved[of])[counts]
     shared = problem.sums.normals[:, take[:, None], take][of[counts]]
     normals = (moments.softened * share[counts])[:, None, None] * shared
     before = moments.sums
