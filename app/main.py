@@ -155,6 +155,7 @@ def _services(settings: Settings, workers: int) -> Services:
     engine = open_engine(database, store, settings, workers)
     ingest = Ingest(database, store, engine.queue, settings)
     source = settings.orbit_source
+    fleet = Fleet()
     return Services(
         settings=settings,
         database=database,
@@ -169,7 +170,7 @@ def _services(settings: Settings, workers: int) -> Services:
         clock=SteadyClock(),
         issuer=open_issuer(settings),
         texts=Texts(),
-        fleet=Fleet(),
+        fleet=fleet,
         queue=engine.queue,
         workers=engine.workers,
         running=Running(),
@@ -179,7 +180,7 @@ def _services(settings: Settings, workers: int) -> Services:
         stopped_sources=lambda: stopped_sources(database),
         notifier=Notifier(database, settings),
         orbit_watcher=None if source is None else OrbitWatcher(database, settings, source),
-        attention_watcher=Watcher(database, settings, engine.queue),
+        attention_watcher=Watcher(database, settings, engine.queue, fleet),
     )
 
 

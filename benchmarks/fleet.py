@@ -29,6 +29,8 @@ SESSIONS_EACH: Final = 100
 ROUNDS: Final = 7
 PAGE_AIM_S: Final = 0.5
 FILTER_AIM_S: Final = 0.2
+PAUSE_S: Final = 6.0
+"""Longer than what is known of a fleet is trusted."""
 SEED: Final = "seed"
 
 Row = Mapping[str, object]
@@ -113,15 +115,25 @@ def _measured(client: httpx2.Client, satellites: int) -> Iterator[Figure]:
         client.patch(f"/api/v1/satellites/{SEED}", json={"name": f"SEED {number}"}).raise_for_status()
         anew.append(_timed(client, "/"))
         kept.append(_timed(client, "/"))
-    page_s = statistics.median(anew)
-    aim = f"< {PAGE_AIM_S} s"
-    yield Figure(ROOM, f"first page, {what}: after a change", page_s, "s", aim, page_s < PAGE_AIM_S)
-    page_s = statistics.median(kept)
-    yield Figure(ROOM, f"first page, {what}: unchanged", page_s, "s", aim, page_s < PAGE_AIM_S)
+    yield _figure(f"first page, {what}: after a change", anew, PAGE_AIM_S)
+    yield _figure(f"first page, {what}: unchanged", kept, PAGE_AIM_S)
+    time.sleep(PAUSE_S)
+    idle = []
+    for _ in range(3):
+        time.sleep(PAUSE_S)
+        idle.append(_timed(client, "/"))
+    yield _figure(f"first page, {what}: after {PAUSE_S:g} s in which nobody asked", idle, PAGE_AIM_S)
     for name, query in (("a name", "q=sat-0123&limit=50"), ("a state", "state=watch&limit=50&sort=name")):
-        filtered_s = statistics.median([_timed(client, f"/api/v1/fleet?{query}") for _ in range(ROUNDS)])
-        met = filtered_s < FILTER_AIM_S
-        yield Figure(ROOM, f"fleet filtered by {name}, {what}", filtered_s, "s", f"< {FILTER_AIM_S} s", met)
+        filtered = []
+        for number in range(ROUNDS):
+            # A search that was not asked before: none is answered with what is at hand.
+            filtered.append(_timed(client, f"/api/v1/fleet?{query}&cursor={number}"))
+        yield _figure(f"fleet filtered by {name}, {what}", filtered, FILTER_AIM_S)
+
+
+def _figure(what: str, times_s: Sequence[float], aim_s: float) -> Figure:
+    median_s = statistics.median(times_s)
+    return Figure(ROOM, what, median_s, "s", f"< {aim_s} s", median_s < aim_s, f"best {min(times_s):.3f} s")
 
 
 def _timed(client: httpx2.Client, path: str) -> float:

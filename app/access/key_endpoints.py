@@ -42,8 +42,8 @@ def list_keys(query: Annotated[PageQuery, Query()], caller: Administrator, db: D
     """List the keys, the newest first."""
     refuse_bound(caller)
     with db.read() as session:
-        rows, cursor = KeyRepository(session, caller).page(query)
-    return Page(items=[KeyRead.model_validate(row) for row in rows], next=cursor)
+        rows, cursor, total = KeyRepository(session, caller).page(query)
+    return Page(items=[KeyRead.model_validate(row) for row in rows], next=cursor, total=total)
 
 
 @router.post("/keys/{key_id}/revoke")
@@ -61,5 +61,5 @@ def list_audit(query: Annotated[PageQuery, Query()], caller: Administrator, db: 
     """List who did what, the newest first."""
     refuse_bound(caller)
     with db.read() as session:
-        rows, cursor = fetch_page(session, select(AuditEvent), (AuditEvent.id,), query)
-    return Page(items=[AuditRead.model_validate(row) for row in rows], next=cursor)
+        rows, cursor, total = fetch_page(session, select(AuditEvent), (AuditEvent.id,), query)
+    return Page(items=[AuditRead.model_validate(row) for row in rows], next=cursor, total=total)

@@ -17,7 +17,7 @@ from app.access.audit_trail import record_event
 from app.access.caller import SYSTEM, Caller
 from app.access.key_tables import ApiKey, Login
 from app.errors import NotFoundError
-from app.http.paging import fetch_page
+from app.http.paging import Part, fetch_page
 from app.http.schemas import PageQuery
 from app.storage.database import utc_now
 
@@ -101,7 +101,7 @@ class KeyRepository:
             record_event(self.session, self.caller, "key.revoke", key_id)
         return row
 
-    def page(self, query: PageQuery) -> tuple[list[ApiKey], str | None]:
+    def page(self, query: PageQuery) -> Part[ApiKey]:
         """Return a part of the keys, the newest first."""
         return fetch_page(self.session, select(ApiKey), (ApiKey.created_at, ApiKey.id), query)
 

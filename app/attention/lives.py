@@ -10,6 +10,7 @@ import structlog
 from sqlalchemy import and_, func, or_, select
 from sqlalchemy.orm import aliased
 
+from app.attention.entries import Fleet
 from app.attention.tables import SetLife
 from app.errors import BusyError
 from app.monitoring.trends import SHARE, stored_sets, trend_of
@@ -26,7 +27,7 @@ Stale = tuple[str, str, str, str]
 log = structlog.get_logger()
 
 
-def tell_lives(database: Database) -> bool:
+def tell_lives(database: Database, fleet: Fleet) -> bool:
     """Tell the lives of sets in force that nobody has told yet; return whether some are left for the next time."""
     begun_s = time.monotonic()
     waiting = _stale(database)
@@ -34,6 +35,7 @@ def tell_lives(database: Database) -> bool:
         if number and time.monotonic() - begun_s > AT_MOST_S:
             return True
         _tell(database, one)
+        fleet.look_again(one[0])
     return False
 
 

@@ -47,6 +47,12 @@ class AttentionRepository:
         """Return the standing of every magnetometer, and the acknowledgements that hold."""
         return self._fleet.standings(self.session, self.caller), self._acknowledged(utc_now())
 
+    def counts(self) -> AttentionCounts:
+        """Return how many entries there are of each severity, and how many are acknowledged."""
+        standings, known = self.standings()
+        every = [entry for one in standings for entry in one.entries]
+        return counted(every, {entry.id for entry in every if holds(known, entry)})
+
     def page(self, query: AttentionQuery) -> AttentionPage:
         """Return a part of the entries, the worst first, those that are acknowledged behind the others."""
         standings, known = self.standings()

@@ -150,4 +150,4 @@ class FleetQuery(Filter):
         "worst", "name", "-name", "data_until", "-data_until", "residual_nt", "-residual_nt", "verdict", "-verdict"
     ] = Field("worst", description="`-` turns the order round; what has no value comes last.")
     limit: int = Field(50, ge=1, le=1000, description="Most items in the answer.")
-    cursor: str | None = Field(None, pattern=r"^\d{1,9}$", description="`next` of the answer before.")
+    cursor: str | None = Field(None, pattern=r"^\d{1,9}$", examples=["50"], description="`next` of the answer before.")

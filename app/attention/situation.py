@@ -17,11 +17,16 @@ from app.orbits.tables import OrbitRow
 from app.parameter_sets.tables import Activation, ParameterSet, ParameterSetSession
 from app.satellites.tables import Magnetometer, Satellite
 from app.sessions.tables import SessionMonitoring, TelemetrySession
+from app.storage.database import id_before
 
 DATA_STALE_DAYS: Final = 30.0
 ORBIT_STALE_DAYS: Final = 7.0
 STATION_SILENT_HOURS: Final = 72.0
 IDS_AT_ONCE: Final = 500
+LATE_MS: Final = 5000
+LATE_EVENTS: Final = 20
+"""How far back what is committed late is looked for: written so long, or so many rows, before the newest one known."""
+MOST_CHANGES: Final = 2000
 LOOKED_AT: Final = 100
 """Newest orbits of a satellite among which one of its own is looked for."""
 POSITIONED: Final = frozenset({"ref_b", "ref_bx", "ref_eci_x", "x_km"})
@@ -328,11 +333,40 @@ def _parts(ids: Sequence[str]) -> Iterator[Sequence[str]]:
     return (ids[start : start + IDS_AT_ONCE] for start in range(0, len(ids), IDS_AT_ONCE))
 
 
-def newest_change(session: Session) -> tuple[object, ...]:
-    """Return what is another with every write of the service: the ends of the log of events and of the audit trail."""
+@dataclass(frozen=True, slots=True)
+class Change:
+    """The ends of the log of events and of the audit trail: another one with every write of the service."""
+
+    event_id: int
+    audit_id: str
+
+
+def newest_change(session: Session) -> Change:
+    """Return the ends of the log of events and of the audit trail."""
     from app.access.audit_trail import AuditEvent
     from app.outbox.tables import OutboxEntry
 
-    return tuple(session.execute(select(
+    event_id, audit_id = session.execute(select(
         select(func.max(OutboxEntry.id)).scalar_subquery(), select(func.max(AuditEvent.id)).scalar_subquery()
-    )).one())  # fmt: skip
+    )).one()  # fmt: skip
+    return Change(event_id or 0, audit_id or "")
+
+
+def changed_satellites(session: Session, since: Change) -> set[str] | None:
+    """Return the satellites of what was written since; None where that is more than is worth telling apart.
+
+    Ids count as rows are written, not as they are committed: a little of what was before is looked at again.
+    """
+    from app.access.audit_trail import AuditEvent
+    from app.outbox.tables import OutboxEntry
+
+    earlier = id_before(since.audit_id, LATE_MS)
+    of_events = select(OutboxEntry.satellite_id).where(OutboxEntry.id > since.event_id - LATE_EVENTS)
+    of_audit = select(AuditEvent.satellite_id).where(AuditEvent.id > earlier)
+    found: set[str] = set()
+    for statement in (of_events, of_audit):
+        rows = session.scalars(statement.limit(MOST_CHANGES + 1)).all()
+        if len(rows) > MOST_CHANGES:
+            return None
+        found |= {one for one in rows if one is not None}
+    return found

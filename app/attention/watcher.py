@@ -16,9 +16,8 @@ from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from app.access.caller import SYSTEM
-from app.attention.entries import Entry, standing
+from app.attention.entries import Entry, Fleet
 from app.attention.lives import tell_lives
-from app.attention.situation import situations
 from app.attention.tables import AttentionRaised
 from app.jobs.kinds.monitoring import MonitoringBody
 from app.jobs.queue import Queue
@@ -50,9 +49,10 @@ log = structlog.get_logger()
 class Watcher:
     """Keeps judgements and the log up to date, from start to stop."""
 
-    def __init__(self, database: Database, settings: Settings, queue: Queue) -> None:
+    def __init__(self, database: Database, settings: Settings, queue: Queue, fleet: Fleet) -> None:
         self._database = database
         self._queue = queue
+        self._fleet = fleet
         self._right = Exclusive(database, settings, "attention")
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="attention")
@@ -93,9 +93,9 @@ class Watcher:
         is_news = newest != self._seen and begun_s >= self._rested_s
         if not is_news and begun_s - self._swept_s < SWEEP_EVERY_S:
             return
-        is_more = tell_lives(self._database)
+        is_more = tell_lives(self._database, self._fleet)
         self._seen, self._swept_s = -1 if is_more else newest, begun_s
-        tell_changes(self._database)
+        tell_changes(self._database, self._fleet)
         self._rested_s = time.monotonic() + REST * (time.monotonic() - begun_s)
 
     def _follow(self, session: Session, entry: LogEntry) -> None:
@@ -121,11 +121,10 @@ def _newest_sessions(session: Session, satellite_id: str, magnetometer_id: str) 
     return list(session.scalars(newest.limit(JUDGED_AT_ACTIVATION)))
 
 
-def tell_changes(database: Database) -> None:
+def tell_changes(database: Database, fleet: Fleet) -> None:
     """Tell the log what needs attention and was not told of, and what was and is over."""
-    now = utc_now()
     with database.read() as session:
-        found = {entry.id: entry for one in situations(session) for entry in standing(one, now).entries}
+        found = {entry.id: entry for one in fleet.standings(session, SYSTEM) for entry in one.entries}
         told = {row.entry_id: row for row in session.scalars(select(AttentionRaised))}
     raised = [entry for entry in found.values() if _is_news(entry, told.get(entry.id))]
     over = [row for row in told.values() if row.entry_id not in found]

@@ -29,6 +29,7 @@ from app.dashboard.schemas import (
     SetFigure,
 )
 from app.http.dependencies import Blobs, Db
+from app.http.entity_tags import UNCHANGED, revalidated
 from app.http.schemas import Page, utc_text
 from app.indices.repository import sources_of_record
 from app.orbits.parsing import orbit_of
@@ -45,6 +46,7 @@ from app.records.residual_table import residuals_of
 from app.reporting import figures
 from app.satellites.repository import SatelliteRepository
 from app.sessions.repository import SessionRepository, samples_of
+from app.storage.database import Database
 from app.storage.store import Store, residuals_key
 from magcal_core.calibration.residuals import ResidualTable
 from magcal_core.samples import Samples
@@ -64,24 +66,32 @@ FIGURES: Final[dict[int | str, dict[str, Any]]] = {
 REPORT: Final[dict[int | str, dict[str, Any]]] = {200: {"description": "The report.", "content": {"text/html": {}}}}
 
 
-@router.get("/overview")
-def get_overview(query: Annotated[OverviewQuery, Query()], caller: Reader, db: Db) -> Page[OverviewRow]:
-    """Show every magnetometer with its state at a glance; the limit counts satellites."""
+@router.get("/overview", response_model=Page[OverviewRow], responses=UNCHANGED)
+def get_overview(query: Annotated[OverviewQuery, Query()], request: Request, caller: Reader, db: Db) -> Response:
+    """Show every magnetometer with its state at a glance; the limit and the total count satellites."""
+    return revalidated(request, overview_now(query, caller, db))
+
+
+def overview_now(query: OverviewQuery, caller: Caller, db: Database) -> Page[OverviewRow]:
+    """Return every magnetometer with its state."""
     with db.read() as session:
         satellites = SatelliteRepository(session, caller)
         if query.satellite is not None:
-            return Page(items=overview_rows(session, caller, [satellites.get(query.satellite)]))
-        rows, cursor = satellites.page(query)
-        return Page(items=overview_rows(session, caller, rows), next=cursor)
+            rows = overview_rows(session, caller, [satellites.get(query.satellite)])
+            return Page(items=rows, total=1 if query.total else None)
+        found = satellites.page(query)
+        return Page(items=overview_rows(session, caller, found.rows), next=found.cursor, total=found.total)
 
 
-@router.get("/satellites/{satellite_id}/history")
-def get_history(satellite_id: str, query: Annotated[HistoryQuery, Query()], caller: Reader, db: Db) -> Page[HistoryRow]:
+@router.get("/satellites/{satellite_id}/history", response_model=Page[HistoryRow], responses=UNCHANGED)
+def get_history(
+    satellite_id: str, query: Annotated[HistoryQuery, Query()], request: Request, caller: Reader, db: Db
+) -> Response:
     """List the parameter sets of a satellite in flat numbers, for tables and plots over time, the newest first."""
     with db.read() as session:
         SatelliteRepository(session, caller).get(satellite_id)
-        items, cursor = history_rows(session, caller, satellite_id, query)
-    return Page(items=items, next=cursor)
+        found = history_rows(session, caller, satellite_id, query)
+    return revalidated(request, found)
 
 
 @router.get("/sessions/{session_id}/summary")

@@ -10,7 +10,7 @@ from sqlalchemy.orm import Session, defer
 from app.access.caller import Caller
 from app.dashboard.schemas import HistoryQuery, HistoryRow, OverviewRow, SessionState, SetState
 from app.dashboard.set_summaries import Residuals, residuals_of, summaries
-from app.http.schemas import utc_text
+from app.http.schemas import Page, utc_text
 from app.jobs.tables import Job
 from app.parameter_sets.json_listing import listed
 from app.parameter_sets.schemas import ParameterSetQuery
@@ -56,9 +56,7 @@ def overview_rows(session: Session, caller: Caller, satellites: Sequence[Satelli
     return rows
 
 
-def history_rows(
-    session: Session, caller: Caller, satellite_id: str, query: HistoryQuery
-) -> tuple[list[HistoryRow], str | None]:
+def history_rows(session: Session, caller: Caller, satellite_id: str, query: HistoryQuery) -> Page[HistoryRow]:
     """Return a part of a satellite's parameter sets in flat numbers, the newest first."""
     wanted = listed(session.connection(), caller, ParameterSetQuery(satellite=satellite_id, **query.model_dump()))
     ids = [set_id for set_id, _ in wanted.sets]
@@ -69,7 +67,7 @@ def history_rows(
         _history_row(one, sessions[one["id"]], begun.get(one["id"]), replaced.get(one["id"]))
         for one in summaries(session, ids)
     ]
-    return rows, wanted.cursor
+    return Page(items=rows, next=wanted.cursor, total=wanted.total)
 
 
 def record_of(row: ParameterSet) -> ParameterSetRecord:
@@ -90,7 +88,7 @@ def timeline(
 ) -> tuple[list[SessionMark], list[InForce]]:
     """Return the last sessions of a satellite with their verdicts, and the spans in which a set was in force."""
     wanted = SessionQuery(satellite=satellite_id, magnetometer=magnetometer_id, limit=1000)
-    telemetry, _ = SessionRepository(session, caller).page(wanted)
+    telemetry = SessionRepository(session, caller).page(wanted).rows
     link = ParameterSetSession
     graded = session.execute(
         select(link.session_id, ParameterSet.grade)

@@ -9,6 +9,7 @@ from app.access import key_endpoints as keys
 from app.access.caller import Caller, Scope
 from app.attention import endpoints as attention
 from app.attention.entries import Fleet
+from app.attention.repository import AttentionRepository
 from app.attention.schemas import AttentionCounts, AttentionQuery, FleetQuery
 from app.dashboard import endpoints as displays
 from app.dashboard.schemas import OverviewQuery
@@ -53,7 +54,7 @@ def of_overview(fleet: Fleet) -> Bringer:
     def ask(caller: Caller, database: Database, _texts: Texts) -> Answers:
         entries = attention.attention_now(AttentionQuery(limit=MOST_LINES, total=True), caller, database, fleet)
         rows = attention.fleet_now(FleetQuery(limit=MOST_ROWS), caller, database, fleet)
-        first = attention.fleet_now(FleetQuery(limit=1), caller, database, fleet)
+        first = rows.model_copy(update={"items": rows.items[:1], "next": "1" if rows.total > 1 else None})
         return {
             f"/attention?limit={MOST_LINES}&total=true": entries.model_dump_json(),
             f"/fleet?limit={MOST_ROWS}&sort=worst": rows.model_dump_json(),
@@ -67,7 +68,8 @@ def counts_of(fleet: Fleet, caller: Caller, database: Database) -> AttentionCoun
     """Return how much needs attention, for the header; None for a key that may not read."""
     if not caller.may(Scope.READ):
         return None
-    return attention.attention_now(AttentionQuery(limit=1), caller, database, fleet).counts
+    with database.read() as session:
+        return AttentionRepository(session, caller, fleet).counts()
 
 
 def of_satellite(satellite_id: str) -> Bringer:
@@ -75,7 +77,7 @@ def of_satellite(satellite_id: str) -> Bringer:
 
     def ask(caller: Caller, database: Database, _texts: Texts) -> Answers:
         satellite = satellites.get_satellite(satellite_id, caller, database)
-        state = displays.get_overview(OverviewQuery(satellite=satellite_id), caller, database)
+        state = displays.overview_now(OverviewQuery(satellite=satellite_id), caller, database)
         return {
             f"/satellites/{satellite_id}": satellite.model_dump_json(),
             f"/overview?satellite={satellite_id}": state.model_dump_json(),
@@ -89,7 +91,7 @@ def of_magnetometer(satellite_id: str, magnetometer_id: str) -> Bringer:
 
     def ask(caller: Caller, database: Database, _texts: Texts) -> Answers:
         magnetometer = satellites.get_magnetometer(satellite_id, magnetometer_id, caller, database)
-        state = displays.get_overview(OverviewQuery(satellite=satellite_id), caller, database)
+        state = displays.overview_now(OverviewQuery(satellite=satellite_id), caller, database)
         return {
             f"/satellites/{satellite_id}/magnetometers/{magnetometer_id}": magnetometer.model_dump_json(),
             f"/overview?satellite={satellite_id}": state.model_dump_json(),
@@ -103,7 +105,7 @@ def of_session(session_id: str) -> Bringer:
 
     def ask(caller: Caller, database: Database, _texts: Texts) -> Answers:
         session = sessions.get_session(session_id, caller, database)
-        newest = jobs.list_jobs(JobQuery(kind="calibration", limit=1, session=session_id), caller, database)
+        newest = jobs.jobs_now(JobQuery(kind="calibration", limit=1, session=session_id), caller, database)
         return {
             f"/sessions/{session_id}": session.model_dump_json(),
             f"/jobs?kind=calibration&limit=1&session={session_id}": newest.model_dump_json(),
@@ -126,13 +128,13 @@ def of_parameter_sets(*set_ids: str) -> Bringer:
 
 def of_jobs(caller: Caller, database: Database, _texts: Texts) -> Answers:
     """Return the newest jobs."""
-    newest = jobs.list_jobs(JobQuery(limit=MOST_JOBS, total=True), caller, database)
+    newest = jobs.jobs_now(JobQuery(limit=MOST_JOBS, total=True), caller, database)
     return {f"/jobs?limit={MOST_JOBS}&sort=-created&total=true": newest.model_dump_json()}
 
 
 def of_reprocessings(caller: Caller, database: Database, _texts: Texts) -> Answers:
     """Return the newest reprocessings."""
-    newest = jobs.list_jobs(JobQuery(kind="reprocessing", limit=MOST_JOBS, total=True), caller, database)
+    newest = jobs.jobs_now(JobQuery(kind="reprocessing", limit=MOST_JOBS, total=True), caller, database)
     return {f"/jobs?kind=reprocessing&limit={MOST_JOBS}&sort=-created&total=true": newest.model_dump_json()}
 
 

@@ -73,6 +73,9 @@ def _describe(made: Document, prefix: str, routers: Sequence[APIRouter]) -> None
     for schema in schemas.values():
         if isinstance(schema, dict) and schema.get("type") == "object":
             schema["examples"] = [example_of(schema, schemas)]
+    for operations in paths.values():
+        for one in operations.values() if isinstance(operations, dict) else ():
+            _give_examples(one, schemas)
 
 
 @cache
@@ -99,6 +102,14 @@ def _explain_operation(operation: JsonValue) -> None:
         owners = [owner] if part == "requestBody" else list(owner.values()) if isinstance(owner, dict) else []
         for one in owners:
             _give_schemas(one, of_json=of_json)
+
+
+def _give_examples(operation: JsonValue, schemas: Mapping[str, JsonValue]) -> None:
+    """Give each parameter of an operation an example that its schema allows."""
+    parameters = operation.get("parameters") if isinstance(operation, dict) else None
+    for one in parameters if isinstance(parameters, list) else []:
+        if isinstance(one, dict) and "example" not in one and "examples" not in one:
+            one["example"] = example_of(one["schema"], schemas, str(one["name"]))
 
 
 def _give_schemas(owner: JsonValue, *, of_json: bool) -> None:

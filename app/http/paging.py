@@ -7,7 +7,7 @@ import binascii
 import json
 from collections.abc import Sequence
 from datetime import datetime
-from typing import TypeVar, TypeVarTuple
+from typing import Generic, NamedTuple, TypeVar, TypeVarTuple
 
 from sqlalchemy import ColumnElement, Select, func, or_, select, tuple_
 from sqlalchemy.orm import InstrumentedAttribute, Session
@@ -25,6 +25,14 @@ class CursorError(InputError):
     code = "cursor"
 
 
+class Part(NamedTuple, Generic[Row]):
+    """A part of a list, the cursor of the next one, and how many rows all have together, where that was asked."""
+
+    rows: list[Row]
+    cursor: str | None
+    total: int | None
+
+
 def fetch_page(
     session: Session,
     statement: Select[Row],
@@ -32,9 +40,11 @@ def fetch_page(
     query: PageQuery,
     *,
     is_up: bool = False,
-) -> tuple[list[Row], str | None]:
-    """Return the rows of one part, the greatest ``keys`` first unless ``is_up``, and the cursor of the next part."""
-    return cut(list(session.scalars(part_of(statement, keys, query, is_up=is_up))), keys, query)
+) -> Part[Row]:
+    """Return one part of ``statement``, the greatest ``keys`` first unless ``is_up``."""
+    rows, cursor = cut(list(session.scalars(part_of(statement, keys, query, is_up=is_up))), keys, query)
+    total = session.scalar(select(func.count()).select_from(statement.subquery())) or 0 if query.total else None
+    return Part(rows, cursor, total)
 
 
 def part_of(
@@ -49,11 +59,6 @@ def part_of(
         last = tuple_(*_decode(query.cursor, keys))
         statement = statement.where(tuple_(*keys) > last if is_up else tuple_(*keys) < last)
     return statement.order_by(*(key.asc() if is_up else key.desc() for key in keys)).limit(query.limit + 1)
-
-
-def counted(session: Session, statement: Select[Row]) -> int:
-    """Return how many rows ``statement`` has in all."""
-    return session.scalar(select(func.count()).select_from(statement.order_by(None).subquery())) or 0
 
 
 def has_part(

@@ -80,8 +80,8 @@ def _keep_index(content: bytes, caller: Caller, db: Db) -> tuple[IndexRead, bool
 def list_indices(query: Annotated[IndexQuery, Query()], _caller: Reader, db: Db) -> Page[IndexRead]:
     """List the index files, the newest first."""
     with db.read() as session:
-        rows, cursor = IndexRepository(session, _caller).page(query)
-        return Page(items=[_read(row) for row in rows], next=cursor)
+        rows, cursor, total = IndexRepository(session, _caller).page(query)
+        return Page(items=[_read(row) for row in rows], next=cursor, total=total)
 
 
 @router.get("/indices/{index_id}")
@@ -129,8 +129,8 @@ def _keep_file(content: bytes, name: str | None, caller: Caller, db: Db) -> tupl
 def list_field_files(query: Annotated[PageQuery, Query()], caller: Reader, db: Db) -> Page[FieldFileRead]:
     """List the files of coefficients, the newest first."""
     with db.read() as session:
-        rows, cursor = IndexRepository(session, caller).page_of_field_files(query)
-        return Page(items=[_read_file(row) for row in rows], next=cursor)
+        rows, cursor, total = IndexRepository(session, caller).page_of_field_files(query)
+        return Page(items=[_read_file(row) for row in rows], next=cursor, total=total)
 
 
 @router.get("/field-files/{file_id}")

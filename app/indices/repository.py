@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session, undefer
 from app.access.audit_trail import record_event
 from app.access.caller import SYSTEM, Caller
 from app.errors import NotFoundError, ScopeRequiredError
-from app.http.paging import fetch_page
+from app.http.paging import Part, fetch_page
 from app.http.schemas import PageQuery
 from app.indices.schemas import IndexQuery
 from app.indices.tables import FieldFile, IndexFile
@@ -110,7 +110,7 @@ class IndexRepository:
             raise NotFoundError("no such field file")
         return row
 
-    def page(self, query: IndexQuery) -> tuple[list[IndexFile], str | None]:
+    def page(self, query: IndexQuery) -> Part[IndexFile]:
         """Return a part of the index files, the newest first."""
         statement = select(IndexFile)
         if query.name is not None:
@@ -119,7 +119,7 @@ class IndexRepository:
             statement = statement.where(IndexFile.first <= query.at, IndexFile.last > query.at)
         return fetch_page(self.session, statement, (IndexFile.created_at, IndexFile.id), query)
 
-    def page_of_field_files(self, query: PageQuery) -> tuple[list[FieldFile], str | None]:
+    def page_of_field_files(self, query: PageQuery) -> Part[FieldFile]:
         """Return a part of the files of coefficients, the newest first."""
         return fetch_page(self.session, select(FieldFile), (FieldFile.created_at, FieldFile.id), query)
 

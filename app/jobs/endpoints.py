@@ -16,6 +16,7 @@ from app.access.authentication import Operator, Reader, is_still_valid
 from app.access.caller import Caller
 from app.access.idempotency import KeyHeader, fingerprint, recall, remember
 from app.http.dependencies import Blobs, Config, Db
+from app.http.entity_tags import UNCHANGED, revalidated
 from app.http.strict_json import StrictJsonRoute
 from app.http.tables import TABLES, table_response, wanted_format, write_table
 from app.jobs.dependencies import Jobs
@@ -99,14 +100,18 @@ def create_reprocessing(
     return _queued_once(asked, submit, Asking(caller, db, queue, response, key))
 
 
-@router.get("/jobs")
-def list_jobs(query: Annotated[JobQuery, Query()], caller: Reader, db: Db) -> JobPage:
+@router.get("/jobs", response_model=JobPage, responses=UNCHANGED)
+def list_jobs(query: Annotated[JobQuery, Query()], request: Request, caller: Reader, db: Db) -> Response:
     """List the jobs, the newest first; with `total`, counted by state."""
+    return revalidated(request, jobs_now(query, caller, db))
+
+
+def jobs_now(query: JobQuery, caller: Caller, db: Database) -> JobPage:
+    """Return a part of the jobs."""
     with db.read() as session:
         jobs = JobRepository(session, caller)
-        rows, cursor = jobs.page(query)
+        rows, cursor, total = jobs.page(query)
         counts = jobs.counts(query) if query.total else None
-        total = None if counts is None else counts.get(query.state, 0) if query.state else sum(counts.values())
         return JobPage(items=jobs.read(rows), next=cursor, total=total, counts=counts)
 
 

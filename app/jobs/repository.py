@@ -10,7 +10,7 @@ from sqlalchemy.orm import Session
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.errors import ConflictError, NotFoundError
-from app.http.paging import fetch_page, has_part
+from app.http.paging import Part, fetch_page, has_part
 from app.jobs.fair_order import take_turns
 from app.jobs.kinds.contract import Admission
 from app.jobs.kinds.registry import JOB_KINDS
@@ -92,7 +92,7 @@ class JobRepository:
             raise NotFoundError("no such job")
         return row
 
-    def page(self, query: JobQuery) -> tuple[list[Job], str | None]:
+    def page(self, query: JobQuery) -> Part[Job]:
         """Return a part of the jobs, the newest first unless asked otherwise."""
         statement = self._wanted(query)
         if query.state is not None:

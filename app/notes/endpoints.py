@@ -48,8 +48,7 @@ def _of_parameter_set(session: Session, caller: Caller, parameter_set_id: str) -
 
 
 def _page(notes: NoteRepository, query: PageQuery) -> Page[NoteRead]:
-    items, cursor = notes.page(query)
-    return Page(items=items, next=cursor)
+    return notes.page(query)
 
 
 @router.get(SATELLITE)

@@ -9,7 +9,7 @@ from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.access.key_tables import ApiKey
 from app.http.paging import fetch_page
-from app.http.schemas import PageQuery
+from app.http.schemas import Page, PageQuery
 from app.notes.schemas import NoteRead
 from app.notes.tables import Note
 from app.storage.database import new_id, utc_now
@@ -31,11 +31,11 @@ class NoteRepository:
         self.session.flush()
         return self._read([row])[0]
 
-    def page(self, query: PageQuery) -> tuple[list[NoteRead], str | None]:
+    def page(self, query: PageQuery) -> Page[NoteRead]:
         """Return a part of the notes, the newest first."""
         statement = select(Note).filter_by(**self._own)
-        rows, cursor = fetch_page(self.session, statement, (Note.id,), query)
-        return self._read(rows), cursor
+        found = fetch_page(self.session, statement, (Note.id,), query)
+        return Page(items=self._read(found.rows), next=found.cursor, total=found.total)
 
     def _read(self, rows: list[Note]) -> list[NoteRead]:
         writers = {row.created_by for row in rows} - {None}

@@ -52,8 +52,8 @@ def list_webhooks(query: Annotated[PageQuery, Query()], caller: Administrator, d
     """List the webhooks, the newest first."""
     _refuse_bound(caller)
     with db.read() as session:
-        rows, cursor = WebhookRepository(session, caller).page(query)
-    return Page(items=[WebhookRead.model_validate(row) for row in rows], next=cursor)
+        rows, cursor, total = WebhookRepository(session, caller).page(query)
+    return Page(items=[WebhookRead.model_validate(row) for row in rows], next=cursor, total=total)
 
 
 @router.delete("/webhooks/{webhook_id}", status_code=204)
@@ -71,8 +71,8 @@ def list_deliveries(
     """List what was sent to a webhook, or is to be, the newest first."""
     _refuse_bound(caller)
     with db.read() as session:
-        rows, cursor = WebhookRepository(session, caller).deliveries(webhook_id, query)
-    return Page(items=[DeliveryRead.model_validate(row) for row in rows], next=cursor)
+        rows, cursor, total = WebhookRepository(session, caller).deliveries(webhook_id, query)
+    return Page(items=[DeliveryRead.model_validate(row) for row in rows], next=cursor, total=total)
 
 
 @router.post("/webhooks/{webhook_id}/deliveries/{delivery_id}/replay", status_code=202)

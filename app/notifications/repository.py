@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.errors import ConflictError, NotFoundError
-from app.http.paging import fetch_page
+from app.http.paging import Part, fetch_page
 from app.http.schemas import PageQuery
 from app.notifications.schemas import DeliveryQuery, WebhookCreate
 from app.notifications.tables import Delivery, Webhook
@@ -56,7 +56,7 @@ class WebhookRepository:
             raise NotFoundError("no such webhook")
         return row
 
-    def page(self, query: PageQuery) -> tuple[list[Webhook], str | None]:
+    def page(self, query: PageQuery) -> Part[Webhook]:
         """Return a part of the webhooks, the newest first."""
         return fetch_page(self.session, select(Webhook), (Webhook.id,), query)
 
@@ -67,7 +67,7 @@ class WebhookRepository:
         self.session.delete(row)
         record_event(self.session, self.caller, "webhook.delete", webhook_id)
 
-    def deliveries(self, webhook_id: str, query: DeliveryQuery) -> tuple[list[Delivery], str | None]:
+    def deliveries(self, webhook_id: str, query: DeliveryQuery) -> Part[Delivery]:
         """Return a part of a webhook's deliveries, the newest first."""
         statement = select(Delivery).where(Delivery.webhook_id == self.get(webhook_id).id)
         if query.state is not None:

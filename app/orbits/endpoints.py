@@ -96,8 +96,8 @@ def list_orbits(satellite_id: str, query: Annotated[OrbitQuery, Query()], caller
     with db.read() as session:
         orbits = OrbitRepository(session, caller, satellite_id)
         if query.at is None:
-            rows, cursor = orbits.page(query)
-            return Page(items=[_read(row) for row in rows], next=cursor)
+            rows, cursor, total = orbits.page(query)
+            return Page(items=[_read(row) for row in rows], next=cursor, total=total)
         row = chosen(orbits.around(query.at, query.at, 0.0), query.at)
     return Page(items=[] if row is None else [_read(row, query.at)])
 

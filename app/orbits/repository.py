@@ -14,7 +14,7 @@ from sqlalchemy.orm import Session
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.errors import NotFoundError
-from app.http.paging import fetch_page
+from app.http.paging import Part, fetch_page
 from app.http.schemas import utc_text
 from app.orbits.parsing import ParsedOrbit
 from app.orbits.schemas import OrbitQuery
@@ -130,7 +130,7 @@ class OrbitRepository:
             record_event(self.session, self.caller, "orbit.restore", row.id, self.satellite_id)
         return row
 
-    def page(self, query: OrbitQuery) -> tuple[list[OrbitRow], str | None]:
+    def page(self, query: OrbitQuery) -> Part[OrbitRow]:
         """Return a part of the orbits, the newest first."""
         statement = select(OrbitRow).where(OrbitRow.satellite_id == self.satellite_id)
         if query.format is not None:

@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.errors import ConflictError, NotFoundError, ReasonRequiredError, RefusedVerdictError
-from app.http.paging import fetch_page, has_part
+from app.http.paging import Part, fetch_page, has_part
 from app.outbox.events import Event, parameter_set_activated, parameter_set_created
 from app.outbox.log import append
 from app.parameter_sets.schemas import ParameterSetQuery, ParameterSetRead
@@ -67,7 +67,7 @@ class ParameterSetRepository:
         place = (ParameterSet.satellite_id == satellite_id, ParameterSet.magnetometer_id == magnetometer_id)
         return self.session.scalar(select(ParameterSet).where(*place, ParameterSet.status == "active", reached))
 
-    def page(self, query: ParameterSetQuery) -> tuple[list[ParameterSet], str | None]:
+    def page(self, query: ParameterSetQuery) -> Part[ParameterSet]:
         """Return a part of the parameter sets, the newest first."""
         statement = select(ParameterSet).where(*matching(query, self.caller))
         return fetch_page(self.session, statement, (ParameterSet.id,), query)

@@ -67,9 +67,8 @@ def list_satellites(query: Annotated[SatelliteQuery, Query()], caller: Reader, d
     """List the satellites, the newest first."""
     with db.read() as session:
         satellites = SatelliteRepository(session, caller)
-        rows, cursor = satellites.page(query)
+        rows, cursor, total = satellites.page(query)
         sensors = satellites.magnetometers([row.id for row in rows])
-        total = satellites.total(query) if query.total else None
     return Page(items=[_satellite(row, sensors[row.id]) for row in rows], next=cursor, total=total)
 
 

@@ -10,7 +10,7 @@ from sqlalchemy.orm import InstrumentedAttribute, Session
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.errors import ConflictError, NotFoundError
-from app.http.paging import counted, fetch_page, has_part
+from app.http.paging import Part, fetch_page, has_part
 from app.http.schemas import PageQuery
 from app.satellites.reading import changed
 from app.satellites.schemas import (
@@ -54,15 +54,11 @@ class SatelliteRepository:
             raise NotFoundError("no such satellite")
         return row
 
-    def page(self, query: PageQuery) -> tuple[list[Satellite], str | None]:
+    def page(self, query: PageQuery) -> Part[Satellite]:
         """Return a part of the satellites, the newest first unless asked otherwise."""
         is_up = isinstance(query, SatelliteQuery) and query.sort == "created"
         keys = (Satellite.created_at, Satellite.id)
         return fetch_page(self.session, self._wanted(query), keys, query, is_up=is_up)
-
-    def total(self, query: PageQuery) -> int:
-        """Return how many satellites ``query`` asks for in all parts."""
-        return counted(self.session, self._wanted(query))
 
     def _wanted(self, query: PageQuery) -> Select[Satellite]:
         statement = select(Satellite).where(within_reach(Satellite.id, self.caller))

@@ -54,9 +54,8 @@ def list_sessions(query: Annotated[SessionQuery, Query()], caller: Reader, db: D
     """List the sessions, the newest first."""
     with db.read() as session:
         sessions = SessionRepository(session, caller)
-        rows, cursor = sessions.page(query)
+        rows, cursor, total = sessions.page(query)
         judged = sessions.judgements([row.id for row in rows])
-        total = sessions.total(query) if query.total else None
     return Page(items=[session_read(row, judged=judged.get(row.id)) for row in rows], next=cursor, total=total)
 
 

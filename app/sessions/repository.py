@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session
 from app.access.audit_trail import NEW_EVENT, event_of, record_event
 from app.access.caller import Caller
 from app.errors import ConflictError, ExpiredError, NotFoundError, QuotaError
-from app.http.paging import counted, fetch_page, has_part
+from app.http.paging import Part, fetch_page, has_part
 from app.satellites.repository import within_reach
 from app.satellites.tables import Magnetometer, Satellite
 from app.sessions.chunk_format import decode
@@ -122,14 +122,10 @@ class SessionRepository:
             raise NotFoundError("no such session")
         return row
 
-    def page(self, query: SessionQuery) -> tuple[list[TelemetrySession], str | None]:
+    def page(self, query: SessionQuery) -> Part[TelemetrySession]:
         """Return a part of the sessions, the newest first unless asked otherwise."""
         wanted = self._wanted(query)
         return fetch_page(self.session, wanted, (TelemetrySession.id,), query, is_up=query.sort == "arrived")
-
-    def total(self, query: SessionQuery) -> int:
-        """Return how many sessions ``query`` asks for in all parts."""
-        return counted(self.session, self._wanted(query))
 
     def _wanted(self, query: SessionQuery) -> Select[TelemetrySession]:
         statement = select(TelemetrySession).where(within_reach(TelemetrySession.satellite_id, self.caller))

@@ -389,6 +389,11 @@ def new_id() -> str:
     return f"{value:032x}"
 
 
+def id_before(id_: str, most_ms: int) -> str:
+    """Return an id that is before all that `new_id` made since ``most_ms`` before ``id_``; "" is before all."""
+    return "" if not id_ else f"{max(int(id_[:12], 16) - most_ms, 0):012x}"
+
+
 def utc_now() -> datetime:
     """Return this machine's time, for records; leases use the database's."""
     return datetime.now(UTC)

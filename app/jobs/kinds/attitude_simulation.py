@@ -130,7 +130,7 @@ class AttitudeKind:
 
 
 def _shape(session: Session, caller: Caller, satellite_id: str) -> dict[str, object]:
-    rows, _ = OrbitRepository(session, caller, satellite_id).page(OrbitQuery(limit=1))
+    rows = OrbitRepository(session, caller, satellite_id).page(OrbitQuery(limit=1)).rows
     if not rows:
         return {}
     shape = shape_of(rows[0].content)

@@ -154,7 +154,7 @@ def _source(session: Session, caller: Caller, body: EnergyBody) -> _Source:
 def _kept(session: Session, caller: Caller, satellite_id: str | None, orbit_id: str | None) -> OrbitRow:
     """Return the orbit of that id, or else the satellite's newest."""
     if orbit_id is None:
-        rows, _ = OrbitRepository(session, caller, str(satellite_id)).page(OrbitQuery(limit=1))
+        rows = OrbitRepository(session, caller, str(satellite_id)).page(OrbitQuery(limit=1)).rows
         if not rows:
             raise OptionError("energy balance: the satellite has no orbit", [Fault("satellite", "has no orbit")])
         return rows[0]

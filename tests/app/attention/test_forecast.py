@@ -76,7 +76,7 @@ def test_nothing_is_said_where_the_trend_says_nothing(service, api, satellite):
     with service.database.write() as session:
         for one in history(23, 2, years=0.1).sets:
             keep(session, place, one)
-    until(lambda: not tell_lives(service.database))
+    until(lambda: not tell_lives(service.database, service.services.fleet))
     with service.database.read() as session:
         (found,) = situations(session, [satellite])
     assert found.life is not None

@@ -66,6 +66,15 @@ def test_every_schema_property_and_parameter_is_described(document):
     assert bare == []
 
 
+def test_every_parameter_has_an_example_that_its_schema_allows(document):
+    for where, operation in operations(document):
+        for one in operation.get("parameters", []):
+            rooted = {**one["schema"], "$defs": document["components"]["schemas"]}
+            faults = [fault.message for fault in Draft202012Validator(_local(rooted)).iter_errors(one["example"])]
+            assert faults == [], (where, one["name"])
+            assert one["example"] is not None, (where, one["name"])
+
+
 def test_times_are_marked_as_such(document):
     ends_with_at = [
         (name, own, held)

@@ -13,6 +13,7 @@ import pytest
 from sqlalchemy import select
 from structlog.testing import capture_logs
 
+from app.attention.entries import Fleet
 from app.attention.tables import AttentionRaised
 from app.attention.watcher import Watcher
 from app.jobs.engines.embedded import EmbeddedQueue
@@ -71,7 +72,7 @@ def another_process(folder: Path, how: str) -> Iterator[None]:
 @pytest.mark.parametrize("how", ["at a stretch", "again and again"])
 def test_what_needs_attention_is_told_although_another_process_writes(database, how):
     opened, settings = database
-    watcher = Watcher(opened, settings, EmbeddedQueue())
+    watcher = Watcher(opened, settings, EmbeddedQueue(), Fleet())
     watcher.round()  # its mark is there
     with opened.write() as session:
         session.add(Magnetometer(satellite_id="a", id="m", unit="nT", created_at=utc_now()))
