@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Unpack
+from typing import TYPE_CHECKING, Unpack
 
 from magcal_core.arrays import Progress
 from magcal_core.bias_in_session import Session, wants_moments, with_moving_bias
 from magcal_core.calibration.result import Calibration
-from magcal_core.calibration.sessions.monitoring import ActiveSet
 from magcal_core.errors import EstimationError, FrameError, UnitsError
 from magcal_core.estimation.clock import with_clock
 from magcal_core.estimation.diagnosis import diagnosed, refused, with_cause
@@ -27,6 +26,9 @@ from magcal_core.options import CalibrationOptions, OptionValues
 from magcal_core.orbit import Orbit
 from magcal_core.reference.referenced_samples import Referenced
 from magcal_core.samples import Samples
+
+if TYPE_CHECKING:
+    from magcal_core.calibration.sessions.monitoring import ActiveSet
 
 __all__ = ["CalibrationOptions", "calibrate"]
 
