@@ -3,7 +3,7 @@
 Every module of this package that has ``figures()`` takes part, each in a process of its own: one that fails is
 reported, the others go on, and the exit status tells. Studies, which count errors over thousands of simulated missions
 (``IS_STUDY``), run where they are named, and all of them with ``--studies``: they need time and no idle machine.
-``--write-docs`` writes the latest figures into ``docs/performance.md`` and measures nothing.
+``--write-docs`` writes the latest figures into ``docs/performance-figures.md`` and measures nothing.
 
 ``MAGCAL_BENCH_ROOM_S`` is the most that one room may take (default 420 s, an hour for a study); no further room is
 begun after ``MAGCAL_BENCH_MINUTES`` (default 30 min; three hours for studies).

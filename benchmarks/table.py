@@ -1,4 +1,4 @@
-"""The latest figures as tables in ``docs/performance.md``, between its two marks."""
+"""The latest figures as tables in ``docs/performance-figures.md``, between its two marks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Final
 
 from benchmarks.record import read_latest
 
-PAGE: Final = Path(__file__).parent.parent / "docs" / "performance.md"
+PAGE: Final = Path(__file__).parent.parent / "docs" / "performance-figures.md"
 BEGIN: Final = "<!-- figures: written by `python -m benchmarks --write-docs` -->"
 END: Final = "<!-- end of the figures -->"
 BUSY: Final = 0.5

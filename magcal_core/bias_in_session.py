@@ -12,7 +12,6 @@ from magcal_core.calibration.observability.information import WEAK_BELOW, Observ
 from magcal_core.calibration.reasons import Reason, Verdict
 from magcal_core.calibration.refit.moments import FitMoments
 from magcal_core.calibration.result import Calibration
-from magcal_core.calibration.sessions.windows import windows_of
 from magcal_core.calibration.terms.bias_steps import NOT_SEARCHED, BiasSteps, bias_steps
 from magcal_core.errors import OptionError
 from magcal_core.options import CalibrationOptions
@@ -68,6 +67,8 @@ def with_moving_bias(
             calibration, steps = replace(fitted, options=options.to_dict()), replace(steps, is_fitted=True)
         calibration = _with_steps_named(calibration, steps)
     if options.windows is not None:
+        from magcal_core.calibration.sessions.windows import windows_of
+
         one_by_one = replace(options, windows=None, bootstrap=0)
         period_s = _period_s(session.orbits, calibration.data_from)
         ordered = in_time_order(session.samples)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Unpack
+from typing import TYPE_CHECKING, Unpack
 
 from magcal_core.arrays import Progress
 from magcal_core.bias_in_session import Session, wants_moments, with_moving_bias
 from magcal_core.calibration.result import Calibration
-from magcal_core.calibration.sessions.monitoring import ActiveSet
 from magcal_core.errors import EstimationError, FrameError, UnitsError
 from magcal_core.estimation.averaging import averaged_by_gyros
 from magcal_core.estimation.clock import with_clock
@@ -29,6 +28,9 @@ from magcal_core.orbit import Orbit
 from magcal_core.reference.referenced_samples import Referenced
 from magcal_core.reference.rows_asked_for import rows_asked_for, warnings_of_rows
 from magcal_core.samples import Samples
+
+if TYPE_CHECKING:
+    from magcal_core.calibration.sessions.monitoring import ActiveSet
 
 __all__ = ["CalibrationOptions", "calibrate"]
 

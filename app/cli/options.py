@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
     from rich.progress import Progress, TaskID
 
+    from magcal_core.field.index import Index
     from magcal_core.field.sources import FieldSources
     from magcal_core.orbit import Orbit
 
@@ -233,18 +234,16 @@ def sources_of(index: Sequence[Path], field_file: Path | None) -> FieldSources:
     IndexFormatError, FieldFileError
         A file is none that magcal reads.
     """
-    from magcal_core.field.coefficient_files import read_field_file
-    from magcal_core.field.index_files import read_index
     from magcal_core.field.sources import FieldSources
 
-    indices = []
+    indices: list[Index] = []
     for path in index:
         try:
-            indices.append(read_index(path))
+            indices += FieldSources.of(path).indices
         except InputError as error:
             error.message = f"{path}: {error.message}"
             raise
-    return FieldSources(tuple(indices), None if field_file is None else read_field_file(field_file))
+    return FieldSources.of(indices, field_file)
 
 
 def nearest(orbits: Sequence[Orbit], t_utc: np.datetime64) -> Orbit:

@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from magcal_core.attitude.plant import Quaternion, Vector, cross, dot, product, turned
+from magcal_core.numerics.kernel import kernel
 
 DEGENERATE: Final = 1e-8
 """Length of q~ below which its direction is lost: the measured field is opposite to the model."""
@@ -28,7 +28,7 @@ class Law(NamedTuple):
     guard: float
 
 
-@njit(cache=True)
+@kernel()
 def minimal_quaternion(alpha: Vector, b: Vector, guard: float) -> tuple[Quaternion, float]:
     """Return the smallest turn theta with ``C(theta) b = alpha``, and |q~|, from two unit vectors.
 
@@ -53,7 +53,7 @@ def minimal_quaternion(alpha: Vector, b: Vector, guard: float) -> tuple[Quaterni
     return (0.0, e[0] / length, e[1] / length, e[2] / length), norm
 
 
-@njit(cache=True)
+@kernel()
 def command(
     law: Law, alpha: Vector, b: Vector, rate: Vector, programme: tuple[Quaternion, Vector]
 ) -> tuple[Vector, float]:

@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
-from numba import njit
 
 from magcal_core.arrays import Floats
 from magcal_core.errors import InputError
+from magcal_core.numerics.kernel import kernel
 
 Vector: TypeAlias = tuple[float, float, float]
 Quaternion: TypeAlias = tuple[float, float, float, float]
@@ -98,19 +98,19 @@ def mechanics_of(body: Body, orbital_rate_rad_s: float) -> Mechanics:
     return Mechanics(inertia, np.ascontiguousarray(np.linalg.inv(inertia)), orbital_rate_rad_s, gradient)
 
 
-@njit(cache=True)
+@kernel()
 def cross(a: Vector, b: Vector) -> Vector:
     """Return a x b."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-@njit(cache=True)
+@kernel()
 def dot(a: Vector, b: Vector) -> float:
     """Return a . b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True)
+@kernel()
 def times(matrix: Floats, v: Vector) -> Vector:
     """Return the product of a matrix, shape (3, 3), and a vector."""
     return (
@@ -120,7 +120,7 @@ def times(matrix: Floats, v: Vector) -> Vector:
     )
 
 
-@njit(cache=True)
+@kernel()
 def turned(q: Quaternion, v: Vector) -> Vector:
     """Return C(q) v: the vector in the axes that q leads to."""
     u = (q[1], q[2], q[3])
@@ -133,7 +133,7 @@ def turned(q: Quaternion, v: Vector) -> Vector:
     )
 
 
-@njit(cache=True)
+@kernel()
 def product(a: Quaternion, b: Quaternion) -> Quaternion:
     """Return the quaternion product a o b."""
     return (
@@ -144,7 +144,7 @@ def product(a: Quaternion, b: Quaternion) -> Quaternion:
     )
 
 
-@njit(cache=True)
+@kernel()
 def limited_torque(torque: Vector, h: Vector, torque_limit_nm: float, momentum_limit_nms: float, dt_s: float) -> Vector:
     """Return what the wheels can give of ``torque``, Nm, for ``dt_s``: each within its torque and momentum limits."""
     lowest = (h[0] - momentum_limit_nms, h[1] - momentum_limit_nms, h[2] - momentum_limit_nms)
@@ -155,7 +155,7 @@ def limited_torque(torque: Vector, h: Vector, torque_limit_nm: float, momentum_l
     return (x, y, z)
 
 
-@njit(cache=True)
+@kernel()
 def _rates(state: State, torque: Vector, mechanics: Mechanics) -> tuple[Quaternion, Vector]:
     """Return dq/dt and dw/dt."""
     q, w, h = state
@@ -173,7 +173,7 @@ def _rates(state: State, torque: Vector, mechanics: Mechanics) -> tuple[Quaterni
     return (0.5 * spin[0], 0.5 * spin[1], 0.5 * spin[2], 0.5 * spin[3]), times(mechanics.inverse, total)
 
 
-@njit(cache=True)
+@kernel()
 def _moved(state: State, torque: Vector, rates: tuple[Quaternion, Vector], step_s: float) -> State:
     """Return the state after ``step_s`` at constant rates of change."""
     q, w, h = state
@@ -185,7 +185,7 @@ def _moved(state: State, torque: Vector, rates: tuple[Quaternion, Vector], step_
     )
 
 
-@njit(cache=True)
+@kernel()
 def advance(state: State, torque: Vector, mechanics: Mechanics, dt_s: float) -> State:
     """Return the state after ``dt_s`` under a constant torque, Nm, by one Runge-Kutta step of fourth order.
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats
@@ -26,6 +25,7 @@ from magcal_core.attitude.plant import (
 )
 from magcal_core.attitude.rotation import euler_matrix, quaternion_from_matrix, rotate
 from magcal_core.attitude.scenario import RomScenario
+from magcal_core.numerics.kernel import kernel
 
 SETTLING_LEVELS_DEG: Final = (10, 5, 1)
 """Errors, deg, for which a result says when the attitude got below them for good."""
@@ -190,32 +190,32 @@ def _seen(scenario: RomScenario, along: FieldAlongOrbit) -> Seen:
     )
 
 
-@njit(cache=True)
+@kernel()
 def _row(table: Floats, k: int) -> Vector:
     """Return row k of a table, shape (n, 3)."""
     return (table[k, 0], table[k, 1], table[k, 2])
 
 
-@njit(cache=True)
+@kernel()
 def _direction(v: Vector) -> Vector:
     """Return the unit vector along v."""
     length = np.sqrt(dot(v, v))
     return (v[0] / length, v[1] / length, v[2] / length)
 
 
-@njit(cache=True)
+@kernel()
 def _minus(a: Vector, b: Vector) -> Vector:
     """Return a - b."""
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
-@njit(cache=True)
+@kernel()
 def _plus(a: Vector, b: Vector) -> Vector:
     """Return a + b."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _fly(state: State, law: Law, mechanics: Mechanics, wheels: Wheels, seen: Seen) -> tuple[Floats, float]:
     """Return q, h, torque, error, rad, and rate error, rad/s, at every step, shape (n, 12), and the smallest |q~|."""
     n = seen.b_true.shape[0]

@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numba import njit
 
 from magcal_core.arrays import Floats
 from magcal_core.errors import InputError
+from magcal_core.numerics.kernel import kernel
 
 _UNIT_TOLERANCE: Final = 1e-6
 
@@ -115,7 +115,7 @@ def rotate_rows(q: Floats, v_reference: Floats) -> Floats:
     return v_body
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@kernel(error_model="numpy", fastmath={"contract", "nsz"})
 def _rotate_rows(q: Floats, v_reference: Floats, v_body: Floats) -> None:
     for i in range(len(q)):
         w, a, b, c = q[i, 0], q[i, 1], q[i, 2], q[i, 3]

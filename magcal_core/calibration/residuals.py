@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats
+from magcal_core.numerics.kernel import kernel
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def statistics(
     residuals: Floats, b: Floats, weights: Floats
 ) -> tuple[float, float, float, float]:  # pragma: no cover - compiled

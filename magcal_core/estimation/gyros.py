@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from magcal_core.arrays import Floats
-from magcal_core.calibration.diagnosis.gyro_mounting import GyroMounting, GyroSession, gyro_mounting
 from magcal_core.calibration.diagnosis.mounting import Mounting
 from magcal_core.errors import OptionError
 from magcal_core.estimation.estimate import Estimate
 from magcal_core.estimation.inertial_field import inertial_field_nt
 from magcal_core.observations import corrected_nt
 from magcal_core.samples import Samples
+
+if TYPE_CHECKING:
+    from magcal_core.calibration.diagnosis.gyro_mounting import GyroMounting
 
 RAD_S: Final = {"deg/s": np.pi / 180.0, "rad/s": 1.0}
 _FEWEST: Final = 40
@@ -32,6 +34,8 @@ def gyros_of(estimate: Estimate) -> GyroMounting | None:
     options, referenced = estimate.options, estimate.prepared.referenced
     if not options.gyro:
         return None
+    from magcal_core.calibration.diagnosis.gyro_mounting import GyroMounting, GyroSession, gyro_mounting
+
     keeping = referenced.samples.housekeeping
     missing = [name for name in options.gyro if name not in keeping]
     if missing:

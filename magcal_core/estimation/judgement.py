@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from magcal_core.calibration.diagnosis.wrong_input.attitude import DOUBTED_RATIO, QUATERNION_RATIO
 from magcal_core.calibration.diagnosis.wrong_input.suspicions import ClockFinding, Suspicion, suspicions
 from magcal_core.calibration.estimators.loss import counted_weights
-from magcal_core.calibration.sessions.monitoring import ActiveSet
 from magcal_core.calibration.verdict.assessment import Basis, Circumstances, Judgement, judgement_of, require_determined
 from magcal_core.data_quality import DataQuality
 from magcal_core.estimation.clock import far_suspicion
@@ -19,6 +19,9 @@ from magcal_core.reference.columns import TELEMETRY_POSITION
 from magcal_core.reference.error_budget import ReferenceSource
 from magcal_core.reference.referenced_samples import Referenced
 from magcal_core.samples import SampleFlag
+
+if TYPE_CHECKING:
+    from magcal_core.calibration.sessions.monitoring import ActiveSet
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,9 +1,12 @@
 """What the Earth's field was there: one file a model, over one kernel."""
 
-from typing import Protocol
+from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 
 class FieldModel(Protocol):

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from magcal_core.arrays import Floats, Nanoseconds
+from magcal_core.numerics.kernel import kernel
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@kernel(error_model="numpy", fastmath={"contract", "nsz"})
 def add_external(  # noqa: PLR0917 (numba takes no keyword arguments)
     stamps_ns: Nanoseconds,
     r_km: Floats,

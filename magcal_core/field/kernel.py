@@ -6,15 +6,15 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 
 from magcal_core.arrays import Floats, Nanoseconds
+from magcal_core.numerics.kernel import kernel
 
 BLOCK: Final = 64
 """Samples a block: its arrays stay in the first-level cache, and every inner loop runs over them as vectors."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@kernel(error_model="numpy", fastmath={"contract", "nsz"})
 def sum_harmonics(  # noqa: PLR0912, PLR0915, PLR0917 (one derivation, and numba takes no keyword arguments)
     stamps_ns: Nanoseconds,
     r_km: Floats,

@@ -11,11 +11,9 @@ from typing import BinaryIO, cast
 import numpy as np
 
 from magcal_core.errors import IndexMissingError, OptionError
-from magcal_core.field.coefficient_files.read import read_field_file
 from magcal_core.field.coefficients import CoefficientFile
 from magcal_core.field.hourly import HourlyIndex, hourly
 from magcal_core.field.index import Index
-from magcal_core.field.index_files.read import read_index
 
 OneIndex = Index | str | Path | bytes | BinaryIO
 GivenIndices = OneIndex | Sequence[OneIndex] | None
@@ -50,9 +48,11 @@ class FieldSources:
             given = list(index)
         else:
             given = [cast("OneIndex", index)]
-        indices = tuple(item if isinstance(item, Index) else read_index(item) for item in given)
+        indices = tuple(item if isinstance(item, Index) else _index_of(item) for item in given)
         if field_file is None or isinstance(field_file, CoefficientFile):
             return cls(indices, field_file)
+        from magcal_core.field.coefficient_files.read import read_field_file
+
         return cls(indices, read_field_file(field_file))
 
     def hourly(self, name: str) -> HourlyIndex | None:
@@ -104,6 +104,12 @@ class FieldSources:
             is_new = np.isnan(value) & ~np.isnan(found)
             value[is_new], source[is_new] = found[is_new], number
         return value, source
+
+
+def _index_of(source: str | Path | bytes | BinaryIO) -> Index:
+    from magcal_core.field.index_files.read import read_index
+
+    return read_index(source)
 
 
 @lru_cache(maxsize=8)

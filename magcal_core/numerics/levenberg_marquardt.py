@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numba import njit
 
 from magcal_core.arrays import Floats
+from magcal_core.numerics.kernel import kernel
 from magcal_core.numerics.linear_algebra import solve_positive
 
 MAX_EVALUATIONS: Final = 200
@@ -77,7 +77,7 @@ def minimise(evaluate: Evaluate, theta: Floats, floor: float, limit: int = MAX_E
     return Minimum(theta, cost, normal, gradient, evaluations, is_converged)
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def propose(  # noqa: PLR0917
     theta: Floats, cost: float, normal: Floats, gradient: Floats, floor: float, search: Floats, trial: Floats
 ) -> int:  # pragma: no cover - compiled
@@ -94,7 +94,8 @@ def propose(  # noqa: PLR0917
         for j in range(p):
             square += step[i] * normal[i, j] * step[j]
     moved = math.sqrt(abs(square))
-    trial[:] = theta + step
+    for i in range(p):
+        trial[i] = theta[i] + step[i]
     search[2] = moved
     # The step after this one is shorter by what this one is shorter than the one before.
     shrinks = 1.0 if search[1] == 0.0 else min(1.0, max(moved / search[1], LEAST_SHRINKING))
@@ -103,7 +104,7 @@ def propose(  # noqa: PLR0917
     return TRY
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def weigh(cost: float, trial_cost: float, floor: float, search: Floats) -> int:  # pragma: no cover - compiled
     """Return `ACCEPTED` where the trial is no worse, `FOUND` where the point before is the minimum, or `REJECTED`."""
     moved = search[2]
@@ -116,14 +117,17 @@ def weigh(cost: float, trial_cost: float, floor: float, search: Floats) -> int: 
     return FOUND if moved <= 1e-7 * math.sqrt(cost) else REJECTED
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def damp_more(search: Floats) -> bool:  # pragma: no cover - compiled
     """Damp the next step more; False where no damping is left that could help."""
     search[0] = max(10 * search[0], DAMPING_START)
     return bool(search[0] <= DAMPING_LIMIT)
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def damped_step(normal: Floats, gradient: Floats, damping: float, step: Floats) -> bool:  # pragma: no cover - compiled
     """Leave -(N + damping diag N)^-1 gradient in ``step``, shape (p,); False where the matrix is singular."""
-    return solve_positive(normal, -gradient, damping, _SINGULAR if damping == 0.0 else 0.0, step)
+    downhill = np.empty(gradient.size)
+    for i in range(gradient.size):
+        downhill[i] = -gradient[i]
+    return solve_positive(normal, downhill, damping, _SINGULAR if damping == 0.0 else 0.0, step)

@@ -6,10 +6,10 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 
 from magcal_core.arrays import Floats
 from magcal_core.errors import NotObservableError
+from magcal_core.numerics.kernel import kernel
 
 _TINY: Final = 1e-300
 """Diagonal of an unknown that nothing determines, so that nothing is divided by zero."""
@@ -80,7 +80,7 @@ def is_positive_definite(normal: Floats) -> bool:
     return bool(np.diag(factor).min() ** 2 > LEAST_PIVOT)
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def solve_positive(  # noqa: PLR0912 - one straight derivation
     matrix: Floats, right: Floats, damping: float, smallest: float, out: Floats
 ) -> bool:  # pragma: no cover - compiled

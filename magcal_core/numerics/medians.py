@@ -1,13 +1,13 @@
 """Exact medians in about one pass: the robust scales that reweighting asks for again and again."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats
+from magcal_core.numerics.kernel import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _select(values: Floats, k: int) -> float:  # pragma: no cover - compiled
     """Return the ``k``-th smallest of ``values``, which are left partly sorted around it (Hoare's selection)."""
     low, high = 0, values.size - 1
@@ -35,9 +35,12 @@ def _select(values: Floats, k: int) -> float:  # pragma: no cover - compiled
     return found
 
 
-@njit(cache=True, nogil=True)
-def _two_middle(values: Floats, below: int, count: int) -> float:  # pragma: no cover - compiled
-    """Return the median of ``count`` numbers of which ``below`` are less than all of ``values``, as `numpy.median`."""
+@kernel()
+def median_in_place(values: Floats, below: int, count: int) -> float:  # pragma: no cover - compiled
+    """Return the median of ``count`` numbers of which ``below`` are less than all of ``values``, as `numpy.median`.
+
+    ``values`` hold no NaN, and are left in another order.
+    """
     first, second = (count - 1) // 2 - below, count // 2 - below
     low = _select(values, first)
     if second == first:
@@ -48,7 +51,7 @@ def _two_middle(values: Floats, below: int, count: int) -> float:  # pragma: no 
     return 0.5 * (low + high)
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def median_size(
     values: Floats, prior: Floats, guess: float, reach: float, scratch: Floats
 ) -> float:  # pragma: no cover - compiled
@@ -71,16 +74,16 @@ def median_size(
                     scratch[inside] = size
                     inside += 1
         if below <= (count - 1) // 2 and count // 2 < below + inside:
-            return _two_middle(scratch[:inside], below, count)
+            return median_in_place(scratch[:inside], below, count)
     count = 0
     for i in range(n):
         if prior[i] > 0.0:
             scratch[count] = abs(values[i])
             count += 1
-    return _two_middle(scratch[:count], 0, count)
+    return median_in_place(scratch[:count], 0, count)
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def running_median(values: Floats, width: int) -> Floats:  # pragma: no cover - compiled
     """Return the median of each window of ``width`` values, odd, shape (n - width + 1,); none may be NaN."""
     out = np.empty(max(values.size - width + 1, 0))
@@ -104,7 +107,7 @@ def running_median(values: Floats, width: int) -> Floats:  # pragma: no cover - 
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def peaks_above(values: Floats, limit: float, side: int) -> NDArray[np.bool_]:  # pragma: no cover - compiled
     """Return which values are above ``limit`` and not below any of the ``side`` values on either side, shape (n,)."""
     found = np.zeros(values.size, np.bool_)

@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numba import njit
 
 from magcal_core.arrays import Floats
+from magcal_core.numerics.kernel import kernel
 
-_FAST: Final = {"reassoc", "contract", "nsz"}
+FAST: Final = {"reassoc", "contract", "nsz"}
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def add_products(rows: Floats, count: int, total: Floats) -> None:  # pragma: no cover - compiled
     """Add rows rows^T over ``count`` samples, its upper half in blocks of two by two, to ``total``; even many rows."""
     for c in range(0, rows.shape[0], 2):

@@ -12,17 +12,16 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats
+from magcal_core.numerics.kernel import add_to, copy_into, has_weight, kernel
 from magcal_core.numerics.linear_algebra import solve_positive
 from magcal_core.numerics.medians import median_size
-from magcal_core.numerics.products import add_products
+from magcal_core.numerics.products import FAST, add_products
 from magcal_core.numerics.robust import LOSSES, TUNING, loss_of
 
 _CHUNK: Final = 256
-_FAST: Final = {"reassoc", "contract", "nsz"}
 _TUNING: Final = np.array(TUNING)
 _HUBER: Final = LOSSES["huber"]
 _GAUSSIAN_MAD: Final = 1.4826
@@ -31,7 +30,7 @@ _REFINEMENTS: Final = 5
 _ROUNDING: Final = 1e-12
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _sums(  # noqa: PLR0917
     columns: Floats,
     centre: Floats,
@@ -49,7 +48,7 @@ def _sums(  # noqa: PLR0917
     for start in range(first, end, _CHUNK):
         count = min(_CHUNK, end - start)
         weight = weights[start : start + count]
-        if not weight.any():
+        if not has_weight(weight):
             continue
         for i in range(count):
             root[i] = math.sqrt(weight[i])
@@ -67,7 +66,7 @@ def _sums(  # noqa: PLR0917
         add_products(rows, count, total)
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _subtract(
     columns: Floats, centre: Floats, change: Floats, weights: Floats, residuals: Floats
 ) -> tuple[float, Floats]:  # pragma: no cover - compiled
@@ -102,7 +101,7 @@ def _subtract(
     return largest, squares
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _changes(total: Floats, takes: NDArray[np.bool_], change: Floats) -> bool:  # pragma: no cover - compiled
     """Leave what the moments add to the coefficients, shape (3, c + 1), in ``change``; False where singular."""
     c = takes.shape[1]
@@ -128,7 +127,7 @@ def _changes(total: Floats, takes: NDArray[np.bool_], change: Floats) -> bool:  
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def regress(  # noqa: PLR0917
     columns: Floats,
     centre: Floats,
@@ -151,9 +150,9 @@ def regress(  # noqa: PLR0917
         _sums(columns, centre, residuals, weights, 0, weights.size, total)
         if not _changes(total, takes, change):
             return False
-        coefficients += change
+        add_to(coefficients, change)
         moved, left = _subtract(columns, centre, change, weights, residuals)
-        squares[:] = left
+        copy_into(squares, left)
         # The first step takes off the targets themselves; one or two more take off what its rounding left.
         if first >= 0.0 and moved <= _ROUNDING * first:
             break
@@ -161,7 +160,7 @@ def regress(  # noqa: PLR0917
     return True
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _weights_of_worst(
     residuals: Floats, scales: Floats, prior: Floats, loss: int, weights: Floats
 ) -> None:  # pragma: no cover - compiled
@@ -179,7 +178,7 @@ def _weights_of_worst(
         weights[i] = prior[i] * loss_of(loss, weights[i] * weights[i])[1]
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def regress_robustly(  # noqa: PLR0917
     columns: Floats,
     centre: Floats,
@@ -217,9 +216,9 @@ def regress_robustly(  # noqa: PLR0917
         _sums(columns, centre, residuals, weights, 0, weights.size, total)
         if not _changes(total, takes, change):
             return 0
-        coefficients += change
+        add_to(coefficients, change)
         moved, left = _subtract(columns, centre, change, weights, residuals)
-        squares[:] = left
+        copy_into(squares, left)
         count = 0
         for i in range(n):
             if weights[i] > 0.0:
@@ -235,7 +234,7 @@ def regress_robustly(  # noqa: PLR0917
     return -rounds
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def regress_affinely(  # noqa: PLR0917
     columns: Floats,
     centre: Floats,
@@ -263,8 +262,8 @@ def regress_affinely(  # noqa: PLR0917
             _sums(columns, centre, residuals, weights, 0, n, total)
             if not _changes(total, takes, change):
                 return False
-            coefficients += change
-            squares[:] = _subtract(columns, centre, change, weights, residuals)[1]
+            add_to(coefficients, change)
+            copy_into(squares, _subtract(columns, centre, change, weights, residuals)[1])
         e1, e2, e3 = residuals[0], residuals[1], residuals[2]
         for i in range(n):
             size[i] = math.sqrt(e1[i] * e1[i] + e2[i] * e2[i] + e3[i] * e3[i])
@@ -275,7 +274,7 @@ def regress_affinely(  # noqa: PLR0917
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def sums_of_blocks(  # noqa: PLR0917
     columns: Floats, centre: Floats, residuals: Floats, weights: Floats, starts: NDArray[np.intp], totals: Floats
 ) -> None:  # pragma: no cover - compiled

@@ -6,9 +6,9 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 
 from magcal_core.arrays import Floats
+from magcal_core.numerics.kernel import kernel
 
 GAUSSIAN_MAD: Final = 1.4826
 """Standard deviation of Gaussian noise over its median absolute deviation."""
@@ -55,7 +55,7 @@ TUNING: Final[tuple[float, ...]] = (1.0, 1.345, 1.345, 2.3849, 4.6851)
 """Residual, in robust standard deviations, at which each loss bends: 95 % efficiency on Gaussian noise."""
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def loss_of(loss: int, s2: float) -> tuple[float, float]:  # pragma: no cover - compiled
     """Return rho(s^2), with rho ~ s^2 at zero, and the weight rho'(s^2)."""
     rho, weight = s2, 1.0
@@ -73,7 +73,7 @@ def loss_of(loss: int, s2: float) -> tuple[float, float]:  # pragma: no cover - 
     return rho, weight
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def slope_of(loss: int, s2: float) -> float:  # pragma: no cover - compiled
     """Return psi'(s), psi = rho'/2, of the residual whose square in units of the bend is ``s2``."""
     slope = 1.0
@@ -89,7 +89,7 @@ def slope_of(loss: int, s2: float) -> float:  # pragma: no cover - compiled
     return slope
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def loss_terms(scaled: Floats, loss: int, weight: Floats, slope: Floats) -> None:  # pragma: no cover - compiled
     """Leave weight and psi' of every residual in ``weight`` and ``slope``; ``scaled`` is in units of the bend."""
     for i in range(scaled.shape[0]):

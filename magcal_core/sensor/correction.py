@@ -5,15 +5,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from magcal_core.arrays import Floats
+from magcal_core.numerics.kernel import kernel
 from magcal_core.numerics.vectors import lengths
 from magcal_core.sensor.parameters import Parameters
 from magcal_core.sensor.regressors import term_nt
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@kernel(error_model="numpy", fastmath={"contract", "nsz"})
 def _correct(h: Floats, bias: Floats, lower: Floats, out: Floats) -> None:  # pragma: no cover - compiled
     for i in range(h.shape[0]):
         d1, d2, d3 = h[i, 0] - bias[0], h[i, 1] - bias[1], h[i, 2] - bias[2]
@@ -22,7 +22,7 @@ def _correct(h: Floats, bias: Floats, lower: Floats, out: Floats) -> None:  # pr
         out[i, 2] = lower[2, 0] * d1 + lower[2, 1] * d2 + lower[2, 2] * d3
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@kernel(error_model="numpy", fastmath={"contract", "nsz"})
 def _corrected_lengths(h: Floats, bias: Floats, lower: Floats, out: Floats) -> None:  # pragma: no cover - compiled
     for i in range(h.shape[0]):
         d1, d2, d3 = h[i, 0] - bias[0], h[i, 1] - bias[1], h[i, 2] - bias[2]

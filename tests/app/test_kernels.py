@@ -8,16 +8,18 @@ import subprocess
 import sys
 from pathlib import Path
 
+import app
 from app.kernels import bring_kernels
 
 CPU = "x86-64-v3" if platform.machine() in {"x86_64", "AMD64"} else "generic"
 MODULE = """
-from numba import njit
+from magcal_core.numerics import kernel as kernels
 
-@njit(cache=True)
+@kernels.kernel()
 def kernel(x):
     return 2.0 * x
 """
+ROOT = Path(app.__file__).parents[1]
 USE = """
 from own import kernel
 assert kernel(1.5) == 3.0
@@ -29,7 +31,7 @@ print(sum(kernel.stats.cache_hits.values()), sum(kernel.stats.cache_misses.value
 def use(folder: Path, cache: Path, **more: str) -> str:
     """Return hits, misses and processor of a fresh process that calls the kernel."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
-    environment |= {"NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(folder), **more}
+    environment |= {"NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": f"{folder}{os.pathsep}{ROOT}", **more}
     command = [sys.executable, "-c", USE]
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.strip()
 

@@ -15,12 +15,12 @@ from itertools import pairwise, permutations, product
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats
 from magcal_core.attitude.rotation import attitude_matrix, from_rotation_vector
 from magcal_core.calibration.uncertainty.honest_covariance import student_95
+from magcal_core.numerics.kernel import kernel
 from magcal_core.numerics.linear_algebra import unit_diagonal
 
 Ints = NDArray[np.intp]
@@ -186,7 +186,7 @@ def _turned(rotation: Floats, vector_rad: Floats) -> Floats:
     return np.asarray(attitude_matrix(from_rotation_vector(vector_rad)) @ rotation)
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _turns(t_s: Floats, rate: Floats, firsts: Ints) -> Floats:  # pragma: no cover - compiled
     """Return F of each sample, shape (n, 3, 3): C_i = F_i C_0 since the first sample of its window.
 

@@ -11,6 +11,7 @@ import numpy as np
 from magcal_core.arrays import Floats
 from magcal_core.calibration.diagnosis.affine import Affine, fit_affine
 from magcal_core.errors import OptionError
+from magcal_core.numerics.tails import chi_square_of_three
 from magcal_core.observations import Observations
 from magcal_core.sensor.model import SensorModel, lower_triangular_gauge
 from magcal_core.sensor.parameters import Parameters
@@ -142,8 +143,6 @@ def mounting_by_second(rotation: Floats, covariance_rad2: Floats, second: Mounti
 
 
 def _of_affine(affine: Affine, by: str) -> Mounting:
-    from scipy.special import chdtrc
-
     lower, rotation = lower_triangular_gauge(affine.matrix)
     inverse = np.linalg.inv(lower)
     # w1, w2, w3 from M23, M13, M12: [w x] = (0, -w3, w2; w3, 0, -w1; -w2, w1, 0).
@@ -154,7 +153,7 @@ def _of_affine(affine: Affine, by: str) -> Mounting:
     above[range(3), (0, 0, 1), (1, 2, 2)] = 1.0
     values = affine.matrix[(0, 0, 1), (1, 2, 2)]
     statistic = float(values @ np.linalg.solve(affine.matrix_covariance(above), values))
-    p_value = float(chdtrc(3, statistic))
+    p_value = chi_square_of_three(statistic)
     test = "holds" if p_value >= LOWER_P else "does not hold"
     text = f"{made.text}; that the reference is in the sensor's own base frame {test} (p = {p_value:.2g})"
     return replace(made, text=text, lower_p_value=p_value, bias_nt=affine.offset, matrix=affine.matrix)

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numba import njit
 
 from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.contract import Fit, FitSettings, FitStatus
@@ -22,6 +21,7 @@ from magcal_core.calibration.estimators.parts import FirstOrder
 from magcal_core.calibration.estimators.scalar import ScalarFit, fit_at
 from magcal_core.calibration.estimators.scalar_start import closed_form_starts
 from magcal_core.errors import OptionError
+from magcal_core.numerics.kernel import kernel
 from magcal_core.observations import Observations
 from magcal_core.sensor.conventions import first_order_a, first_order_of_a
 from magcal_core.sensor.model import inverse_lower, matrix_of_parameters
@@ -36,7 +36,7 @@ _RESTARTS: Final = 20
 _GAIN: Final = 1e-7
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
+@kernel(fastmath={"reassoc", "contract", "nsz"})
 def _cost(h: Floats, b: Floats, weight: Floats, p: Floats, sigma: float) -> float:  # pragma: no cover - compiled
     """Return the weighted sum of squares, nT^2, at first-order parameters p = (k, e in rad, b in nT)."""
     a11, a22, a33 = 1.0 / (p[0] * p[0]), 1.0 / (p[1] * p[1]), 1.0 / (p[2] * p[2])
@@ -60,7 +60,7 @@ def _cost(h: Floats, b: Floats, weight: Floats, p: Floats, sigma: float) -> floa
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _explore(  # noqa: PLR0917
     h: Floats, b: Floats, weight: Floats, p: Floats, step: Floats, best: float, sigma: float
 ) -> float:  # pragma: no cover - compiled
@@ -81,7 +81,7 @@ def _explore(  # noqa: PLR0917
     return best
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def hooke_jeeves(  # noqa: PLR0917
     h: Floats, b: Floats, weight: Floats, p: Floats, step: Floats, last: float, limit: int, sigma: float
 ) -> tuple[float, int]:  # pragma: no cover - compiled

@@ -10,16 +10,18 @@ P. Rousseeuw, K. Van Driessen: Computing LTS regression for large data sets. Dat
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.scalar_start import start_of_quadric
+from magcal_core.numerics.kernel import kernel
 from magcal_core.numerics.linear_algebra import solve_positive
+from magcal_core.numerics.medians import median_in_place
 from magcal_core.numerics.vectors import lengths
 from magcal_core.sensor.correction import corrected_lengths
 from magcal_core.sensor.parameterisation import Standardised, parameters_from_rows, rows_from_theta
@@ -66,19 +68,29 @@ class RobustStart:
     weights: Floats
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _scale_of(size: Floats) -> float:  # pragma: no cover - compiled
     """Return the scale of absolute residuals: their median, then that of those within five scales, until it stands."""
-    scale = _GAUSSIAN_MAD * np.median(size)
+    n = size.size
+    inside = np.empty(n)
+    for i in range(n):
+        if math.isnan(size[i]):
+            return math.nan
+        inside[i] = size[i]
+    scale = _GAUSSIAN_MAD * median_in_place(inside, 0, n)
     for _ in range(50):
-        inside = size[size < 5.0 * scale]
-        if inside.size == 0:
-            return float(scale)
-        narrower = _GAUSSIAN_MAD * np.median(inside)
+        count = 0
+        for i in range(n):
+            if size[i] < 5.0 * scale:
+                inside[count] = size[i]
+                count += 1
+        if count == 0:
+            return scale
+        narrower = _GAUSSIAN_MAD * median_in_place(inside[:count], 0, count)
         if abs(narrower - scale) <= 1e-3 * scale:
-            return float(narrower)
+            return narrower
         scale = narrower
-    return float(scale)
+    return scale
 
 
 def scale_of(residuals: Floats) -> float:
@@ -92,7 +104,7 @@ def scale_of(residuals: Floats) -> float:
     return float(_scale_of(size)) if size.size else 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _fit_rows(
     rows: Floats, target: Floats, keep: NDArray[np.bool_], ridge: float, out: Floats
 ) -> bool:  # pragma: no cover - compiled
@@ -113,7 +125,7 @@ def _fit_rows(
     return bool(solve_positive(normal, right, ridge, _SINGULAR, out))
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _sizes(rows: Floats, target: Floats, p: Floats, out: Floats) -> None:  # pragma: no cover - compiled
     for i in range(target.size):
         total = -target[i]
@@ -122,7 +134,7 @@ def _sizes(rows: Floats, target: Floats, p: Floats, out: Floats) -> None:  # pra
         out[i] = abs(total)
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _concentrate(  # noqa: PLR0917
     rows: Floats, target: Floats, p: Floats, count: int, size: Floats, keep: NDArray[np.bool_]
 ) -> float:  # pragma: no cover - compiled
@@ -137,7 +149,7 @@ def _concentrate(  # noqa: PLR0917
     return float(np.sqrt(np.sum(kept * kept) / count))
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _search(  # noqa: PLR0912, PLR0917 - one straight search
     rows: Floats, target: Floats, simple: Floats, carry: NDArray[np.int64], subsets: NDArray[np.int64], count: int
 ) -> Floats:  # pragma: no cover - compiled
@@ -188,7 +200,7 @@ def _search(  # noqa: PLR0912, PLR0917 - one straight search
     return best[np.argsort(best[:, p])]
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _polished(rows: Floats, target: Floats, p: Floats) -> float:  # pragma: no cover - compiled
     """Leave what the rows within four scales ask for in ``p``, five times over; return the scale."""
     size, keep = np.empty(target.size), np.empty(target.size, dtype=np.bool_)
@@ -328,7 +340,7 @@ def vector_start(h_nt: Floats, b_base_nt: Floats) -> RobustStart | None:
     return RobustStart(None, float(np.sqrt(np.mean(scales**2))), weights)
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _fit_vectors(
     design: Floats, target: Floats, keep: NDArray[np.bool_], ridge: float, out: Floats
 ) -> bool:  # pragma: no cover - compiled
@@ -349,7 +361,7 @@ def _fit_vectors(
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _vector_sizes(design: Floats, target: Floats, p: Floats, out: Floats) -> None:  # pragma: no cover - compiled
     for i in range(target.shape[0]):
         total = 0.0
@@ -361,7 +373,7 @@ def _vector_sizes(design: Floats, target: Floats, p: Floats, out: Floats) -> Non
         out[i] = np.sqrt(total)
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _search_vectors(
     design: Floats, target: Floats, subsets: NDArray[np.int64], count: int
 ) -> tuple[Floats, bool]:  # pragma: no cover - compiled

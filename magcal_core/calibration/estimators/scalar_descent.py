@@ -11,10 +11,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.scalar_kernel import accumulate
+from magcal_core.numerics.kernel import copy_into, kernel
 from magcal_core.numerics.levenberg_marquardt import (
     ACCEPTED,
     FOUND,
@@ -27,7 +27,7 @@ from magcal_core.numerics.levenberg_marquardt import (
 )
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _descend(  # noqa: PLR0917
     h: Floats,
     b: Floats,
@@ -53,7 +53,7 @@ def _descend(  # noqa: PLR0917
     while evaluations < limit and math.isfinite(cost):
         found = propose(theta, cost, normal, gradient, floor, search, trial)
         if found == FOUND:
-            theta[:] = trial
+            copy_into(theta, trial)
             return cost, evaluations, True
         if found == TRY:
             trial_cost = accumulate(
@@ -64,8 +64,11 @@ def _descend(  # noqa: PLR0917
             if found == FOUND:
                 return cost, evaluations, True
             if found == ACCEPTED:
-                theta[:], cost = trial, trial_cost
-                normal[:, :], gradient[:] = trial_normal, trial_gradient
+                cost = trial_cost
+                copy_into(theta, trial)
+                copy_into(gradient, trial_gradient)
+                for i in range(p):
+                    copy_into(normal[i], trial_normal[i])
         if found != ACCEPTED and not damp_more(search):
             break
     return cost, evaluations, False

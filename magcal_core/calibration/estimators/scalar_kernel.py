@@ -16,11 +16,11 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats
-from magcal_core.numerics.products import _FAST, add_products
+from magcal_core.numerics.kernel import has_weight, kernel
+from magcal_core.numerics.products import FAST, add_products
 from magcal_core.numerics.robust import loss_of, slope_of
 
 _LEAST_SLOPE: Final = 1.0 / 64.0
@@ -28,7 +28,7 @@ _LEAST_SLOPE: Final = 1.0 / 64.0
 _CHUNK: Final = 256
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _weigh(  # noqa: PLR0912, PLR0917
     r: Floats, weight: Floats, loss: int, bend: float, is_newton: bool, root: Floats, last: Floats
 ) -> float:  # pragma: no cover - compiled
@@ -74,7 +74,7 @@ def _weigh(  # noqa: PLR0912, PLR0917
     return cost * bend * bend
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _geometric(  # noqa: PLR0917
     theta: Floats, sigma: float, length: Floats, r: Floats, u: Floats, extra: Floats, inverse: Floats
 ) -> None:  # pragma: no cover - compiled
@@ -113,7 +113,7 @@ def _geometric(  # noqa: PLR0917
         inverse[i] = over
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def accumulate(  # noqa: PLR0912, PLR0915, PLR0917 - one straight derivation
     h: Floats,
     b: Floats,
@@ -152,7 +152,7 @@ def accumulate(  # noqa: PLR0912, PLR0915, PLR0917 - one straight derivation
     for start in range(0, n, width):
         count = min(width, n - start)
         weights = weight[start : start + count]
-        if not weights.any():
+        if not has_weight(weights):
             continue
         chunk, field = h[start : start + count], b[start : start + count]
         for i in range(count):
@@ -234,7 +234,7 @@ def accumulate(  # noqa: PLR0912, PLR0915, PLR0917 - one straight derivation
     return cost
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def accumulate_blocks(  # noqa: PLR0917
     h: Floats,
     b: Floats,
@@ -257,7 +257,7 @@ def accumulate_blocks(  # noqa: PLR0917
         accumulate(hs, bs, ws, zs, rates, theta, loss, bend, sigma, False, normals[k], gradients[k])
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def residuals(  # noqa: PLR0917
     h: Floats, b: Floats, z: Floats, rate: Floats, theta: Floats, sigma: float, out: Floats
 ) -> None:  # pragma: no cover - compiled

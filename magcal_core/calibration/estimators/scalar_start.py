@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from magcal_core.arrays import Floats
+from magcal_core.numerics.kernel import kernel
 from magcal_core.numerics.linear_algebra import unit_diagonal
 from magcal_core.numerics.products import add_products
 from magcal_core.sensor.model import inverse_lower
@@ -36,7 +36,7 @@ def closed_form_starts(h_nt: Floats, b_nt: Floats, weights: Floats) -> list[Floa
     return [np.concatenate([start[:6], start[6:] * scale_nt]) for start in starts if start is not None]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+@kernel(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
 def _gram(h: Floats, b: Floats, weights: Floats, scale: float) -> Floats:  # pragma: no cover - compiled
     """Return the moments of (six squares of h, -2 h, 1, B^2, 0) / (2 B), shape (12, 12), h and B times ``scale``."""
     rows, total = np.zeros((12, _ROWS)), np.zeros((12, 12))

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats
+from magcal_core.numerics.kernel import kernel
 from magcal_core.numerics.linear_algebra import unit_diagonal
 from magcal_core.numerics.products import products_of
 from magcal_core.numerics.sphere import even_directions
@@ -219,7 +219,7 @@ def _share_near(cells: Floats) -> float:
     return float(near.mean())
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _sweep(  # noqa: PLR0917
     vectors: Floats,
     weights: Floats,
@@ -268,7 +268,7 @@ def _sweep(  # noqa: PLR0917
     return count, marked
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _mark_near(
     grid: Floats, cells: Floats, cosine: float, near: NDArray[np.bool_]
 ) -> None:  # pragma: no cover - compiled

@@ -30,7 +30,7 @@ from magcal_core.calibration.terms.wandering_bias import (
     Process,
     Solved,
     log_likelihood,
-    plain_log_likelihood,
+    plain_log_likelihoods,
     solved,
     step_information,
 )
@@ -211,8 +211,8 @@ def _wanders(blocks: Blocks) -> bool:
     A step that would be believed looks like one: where none does, every noise model need not be searched.
     """
     few = blocks.together(max(1, len(blocks) // _FEW_BLOCKS))
-    likelihood = [plain_log_likelihood(few, model) for model in (MODELS[0], *_COARSE)]
-    return max(likelihood) > likelihood[0] + _BETTER
+    likelihood = plain_log_likelihoods(few, (MODELS[0], *_COARSE))
+    return bool(likelihood.max() > likelihood[0] + _BETTER)
 
 
 def _places(blocks: Blocks, known: Sequence[int]) -> Indices:

@@ -22,6 +22,7 @@ from magcal_core.calibration.terms.locked_columns import LockedColumns
 from magcal_core.calibration.uncertainty.consider_errors import ReferenceErrors
 from magcal_core.calibration.uncertainty.cross_validation import folds_of
 from magcal_core.numerics.linear_algebra import scaled_condition, scaled_inverse
+from magcal_core.numerics.tails import chi_square_of_three
 from magcal_core.observations import Observations, corrected_nt
 from magcal_core.sensor.correction import readings_without
 from magcal_core.sensor.model import lower_triangular_gauge
@@ -150,8 +151,6 @@ def full_matrix(
     duration_s: float,
 ) -> FullMatrix:
     """Return the twelve parameters from the weights of a vector ``fit``, and the test whether they are needed."""
-    from scipy.special import chdtrc
-
     terms = locked_terms(observations, fit, columns, duration_s, "full")
     covariance = terms.unknown_covariance[:12, :12].copy()
     of_parameters = terms.covariance.copy()
@@ -162,7 +161,7 @@ def full_matrix(
         of_parameters += shifts.T @ shifts
     upper = terms.matrix.ravel()[_UPPER]
     wald = float(upper @ scaled_inverse(covariance[np.ix_(_UPPER, _UPPER)]) @ upper)
-    p_value = float(chdtrc(3, wald))
+    p_value = chi_square_of_three(wald)
     return FullMatrix(terms, covariance, of_parameters, p_value, fit.residuals_nt, fit.parameters)
 
 

@@ -13,11 +13,11 @@ from contextlib import suppress
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats, Times
 from magcal_core.errors import OrbitMissingError, PropagationError
+from magcal_core.numerics.kernel import kernel
 from magcal_core.orbit import Orbit
 from magcal_core.orbit.choose import choose_orbits
 from magcal_core.orbit.earth.bodies import default_ephemeris, sun_moon_gcrf
@@ -131,7 +131,7 @@ def _delayed(light: Floats, steps: Floats, gap_s: float, mean: float) -> Floats:
     return np.column_stack([_filtered(light, steps, gap_s, tau, mean) for tau in TIME_CONSTANTS_S])
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _filtered(
     light: Floats, steps: Floats, gap_s: float, tau_s: float, mean: float
 ) -> Floats:  # pragma: no cover - compiled

@@ -20,6 +20,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from magcal_core.arrays import Floats, Indices, Times
+from magcal_core.numerics.bands import band_factor, band_solution
 from magcal_core.numerics.linear_algebra import unit_diagonal
 from magcal_core.sensor.parameters import Parameters
 
@@ -212,7 +213,7 @@ class Solved:
         return slice(fit, len(self.estimate))
 
 
-def log_likelihood(rss: Floats | float, freedom: float, log_determinant: float) -> Floats:
+def log_likelihood(rss: Floats | float, freedom: float, log_determinant: Floats | float) -> Floats:
     """Return log L of a residual sum of squares."""
     return np.asarray(-0.5 * freedom * np.log(np.maximum(rss, 1e-300) / freedom) - 0.5 * log_determinant)
 
@@ -283,61 +284,72 @@ def _shared(blocks: Blocks, steps: Sequence[int]) -> Floats:
     return np.ascontiguousarray(joined.transpose(1, 0, 2)).reshape(joined.shape[1], -1)
 
 
-def plain_log_likelihood(blocks: Blocks, model: Wander) -> float:
-    """Return log L of a noise model without any step: that of `solved`, no inverse of the bias's own part made."""
-    from scipy.linalg.lapack import dpbtrs
+def plain_log_likelihoods(blocks: Blocks, models: Sequence[Wander]) -> Floats:
+    """Return log L of each noise model without any step, shape (len(models),): that of `solved`.
 
+    No inverse of the bias's own part is made, and what no model changes is summed once.
+    """
     normal, score = _system(blocks, ())
-    bias_score = blocks.scores[:, BIAS].ravel()
-    rss, log_determinant = float(blocks.costs.sum()), 0.0
-    if model.deviation > 0.0:
-        factor, log_determinant = _bias_factor(blocks, model)
-        shared = _shared(blocks, ())
-        right = np.concatenate([shared, bias_score[None]]).T
-        found, _ = dpbtrs(factor, right, lower=1)
-        normal = normal - shared @ found[:, :-1]
-        score = score - shared @ found[:, -1]
-        rss -= float(bias_score @ found[:, -1])
-    size = np.sqrt(np.diag(normal))
-    factor = np.linalg.cholesky(normal / np.outer(size, size))
-    half = np.linalg.solve(factor, score / size)
-    log_determinant += 2.0 * float(np.log(np.diag(factor)).sum() + np.log(size).sum())
-    return float(log_likelihood(max(rss - float(half @ half), 1e-300), blocks.freedom, log_determinant))
+    shared, bias_score, own = _shared(blocks, ()), blocks.scores[:, BIAS].ravel(), _own_band(blocks)
+    right = np.column_stack([shared.T, bias_score])
+    count, t = len(models), len(score)
+    taken, rss, log_determinant = (
+        np.zeros((count, t, t + 1)),
+        np.full(count, float(blocks.costs.sum())),
+        np.zeros(count),
+    )
+    for k, model in enumerate(models):
+        if model.deviation > 0.0:
+            factor, log_determinant[k] = _bias_factor(own, blocks.middle_s, model)
+            solution = band_solution(factor, right)
+            taken[k] = shared @ solution
+            rss[k] -= bias_score @ solution[:, -1]
+    normals, scores = normal - taken[:, :, :-1], score - taken[:, :, -1]
+    size = np.sqrt(np.diagonal(normals, axis1=1, axis2=2))
+    factors = np.linalg.cholesky(normals / (size[:, :, None] * size[:, None, :]))
+    halves = np.linalg.solve(factors, (scores / size)[:, :, None])[:, :, 0]
+    log_determinant += 2.0 * (np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1) + np.log(size).sum(axis=1))
+    left = np.maximum(rss - np.einsum("kt,kt->k", halves, halves), 1e-300)
+    return log_likelihood(left, blocks.freedom, log_determinant)
 
 
 def _bias_inverse(blocks: Blocks, model: Wander) -> tuple[Floats, float]:
     """Return the inverse of the bias's own part of A, shape (3m, 3m), and log(det of it / det P)."""
-    from scipy.linalg import cho_solve_banded
-
-    factor, log_determinant = _bias_factor(blocks, model)
-    inverse = cho_solve_banded((factor, True), np.eye(factor.shape[1]), check_finite=False)
-    return np.asarray(inverse), log_determinant
+    factor, log_determinant = _bias_factor(_own_band(blocks), blocks.middle_s, model)
+    return band_solution(factor, np.eye(factor.shape[1])), log_determinant
 
 
-def _bias_factor(blocks: Blocks, model: Wander) -> tuple[Floats, float]:
+def _own_band(blocks: Blocks) -> Floats:
+    """Return what the blocks say of the bias of each, shape (4, m, 3): lower diagonals, the process not in them."""
+    own = blocks.normals[:, BIAS, BIAS]
+    band = np.zeros((4, len(blocks), 3))
+    band[0] = np.diagonal(own, axis1=1, axis2=2)
+    band[1, :, :2] = own[:, [1, 2], [0, 1]]
+    band[2, :, 0] = own[:, 2, 0]
+    return band
+
+
+def _bias_factor(own: Floats, middle_s: Floats, model: Wander) -> tuple[Floats, float]:
     """Return the Cholesky factor of the bias's own part of A, shape (4, 3m) for its diagonals, and log(det / det P).
+
+    ``own``: of `_own_band`; ``middle_s``: times of the blocks, shape (m,).
 
     Notes
     -----
     The process is Markov: its precision is tridiagonal in the blocks, so that the whole is a band of four diagonals.
     """
-    from scipy.linalg import cholesky_banded
-
-    m, weight = len(blocks), 1.0 / model.deviation**2
-    kept = np.exp(-np.diff(blocks.middle_s) / model.memory_s)
+    m, weight = len(middle_s), 1.0 / model.deviation**2
+    kept = np.exp(-np.diff(middle_s) / model.memory_s)
     lost = np.maximum(1.0 - kept**2, 1e-12)
     diagonal = np.ones(m)
     diagonal[1:] = 1.0 / lost
     diagonal[:-1] += kept**2 / lost
-    own = blocks.normals[:, BIAS, BIAS]
-    band = np.zeros((4, m, 3))
-    band[0] = weight * diagonal[:, None] + np.diagonal(own, axis1=1, axis2=2)
-    band[1, :, :2] = own[:, [1, 2], [0, 1]]
-    band[2, :, 0] = own[:, 2, 0]
+    band = own.copy()
+    band[0] += weight * diagonal[:, None]
     band[3, :-1] = -weight * (kept / lost)[:, None]
-    factor = cholesky_banded(band.reshape(4, 3 * m), lower=True, check_finite=False)
+    factor = band_factor(band.reshape(4, 3 * m))
     log_prior = m * np.log(weight) - np.log(lost).sum()
-    return np.asarray(factor), float(2.0 * np.log(factor[0]).sum() - 3.0 * log_prior)
+    return factor, float(2.0 * np.log(factor[0]).sum() - 3.0 * log_prior)
 
 
 def step_information(blocks: Blocks, steps: Sequence[int], here: Solved, places: Indices) -> tuple[Floats, Floats]:

@@ -31,6 +31,7 @@ from magcal_core.arrays import Floats
 from magcal_core.errors import NotObservableError
 from magcal_core.numerics.blocks import BlockScores
 from magcal_core.numerics.linear_algebra import is_positive_definite, scaled_inverse
+from magcal_core.numerics.tails import deviations_of_mixtures
 
 MEMORIES_S: Final = tuple(120.0 * 2.0**i for i in range(12))
 """Correlation times that are tried, s: 2 minutes to 2.8 days."""
@@ -54,6 +55,7 @@ _SHORTEST_BLOCKS: Final = 0.5
 _ROUNDS: Final = 5
 _HALVINGS: Final = 9
 """How often the bracket of a standard error is halved, from at most a factor of 1e3; the rest is interpolated."""
+_LEAST_DEVIATION: Final = 1e-150
 _STEPS_AN_OCTAVE: Final = 8
 """To how much a memory's share of the session is rounded, so that sessions of about the same length share a table."""
 
@@ -118,7 +120,8 @@ class Processes:
             )
         likelihood = -0.5 * self.logarithms - 0.5 * count * np.log(np.maximum(rest, 1e-300))
         weights = _weights(np.exp(likelihood - likelihood.max(axis=0)))
-        return _spread(weights, np.sqrt(rest * self.sizes[:, None] / count)) ** 2
+        deviations = np.maximum(np.sqrt(rest * self.sizes[:, None] / count), _LEAST_DEVIATION)
+        return deviations_of_mixtures(weights, deviations, _HALVINGS) ** 2
 
 
 def processes_of(m: int, duration_s: float) -> Processes:
@@ -159,25 +162,6 @@ def _weights(likelihood: Floats) -> Floats:
         weights /= weights.sum(axis=0)
         white = float(ODDS_STRENGTH * WHITE_ODDS + weights[0].sum()) / (ODDS_STRENGTH + parameters)
     return np.asarray(weights)
-
-
-def _spread(weights: Floats, deviations: Floats) -> Floats:
-    """Return s, shape (p,), such that 1.96 s hold 95 % of the mixture of normal laws of ``deviations``, (g, p)."""
-    from scipy.special import ndtr
-
-    used = np.maximum(deviations, 1e-150)
-    low, high = np.log(used.min(axis=0)), np.log(used.max(axis=0))
-
-    def beyond(at: Floats) -> Floats:
-        return np.asarray(np.sum(weights * ndtr(-1.96 * np.exp(at) / used), axis=0) - 0.025)
-
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        is_wider = beyond(middle) > 0.0
-        low, high = np.where(is_wider, middle, low), np.where(is_wider, high, middle)
-    below, above = np.maximum(beyond(low), 0.0), np.minimum(beyond(high), 0.0)
-    share = below / np.maximum(below - above, 1e-300)
-    return np.asarray(np.exp(low + share * (high - low)))
 
 
 def _merged(scores: BlockScores) -> tuple[Floats, Floats]:

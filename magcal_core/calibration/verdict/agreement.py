@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from magcal_core.arrays import Floats
-from magcal_core.calibration.sessions.consistency import ParameterDifference
 from magcal_core.calibration.sessions.field_change import field_change
-from magcal_core.calibration.sessions.monitoring import MATERIAL_SHARE, SIGNIFICANT_P, ActiveSet, differences_of
 from magcal_core.sensor.parameters import Parameters
 from magcal_core.sensor.regressors import is_step
+
+if TYPE_CHECKING:
+    from magcal_core.calibration.sessions.consistency import ParameterDifference
+    from magcal_core.calibration.sessions.monitoring import ActiveSet
 
 _COMPARED: Final = 9
 """Bias, scale factors and angles: a clock belongs to the orbit, and regressors move the bias."""
@@ -43,6 +45,8 @@ class Agreement:
     @property
     def is_material(self) -> bool:
         """Whether the sensor has changed, or one of the two is wrong: significantly, and by more than the limit."""
+        from magcal_core.calibration.sessions.monitoring import SIGNIFICANT_P
+
         return self.p_value < SIGNIFICANT_P and self.field_change_nt > self.limit_nt
 
     @property
@@ -84,6 +88,8 @@ def agreement_with(
     regressors is the bias at other values of them. Only what both have is compared: one may have a clock that the
     other lacks, and their regressors may stand in another order.
     """
+    from magcal_core.calibration.sessions.monitoring import MATERIAL_SHARE, differences_of
+
     if is_vector is not active.is_vector or _kind(parameters) != _kind(active.parameters):
         return None
     if parameters.follows_time and (parameters.time_base_utc is None) is not (active.parameters.time_base_utc is None):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,6 @@ from magcal_core.calibration.observability.information import (
 )
 from magcal_core.calibration.reasons import Verdict
 from magcal_core.calibration.residuals import ResidualStatistics, residual_statistics
-from magcal_core.calibration.sessions.monitoring import ActiveSet
 from magcal_core.calibration.terms.full_matrix import FullMatrix, unseen_rms_nt
 from magcal_core.calibration.uncertainty.consider_errors import ReferenceShift
 from magcal_core.calibration.uncertainty.cross_validation import held_out_residuals_nt, rms_nt
@@ -46,6 +46,9 @@ from magcal_core.sensor.correction import correct, readings_without
 from magcal_core.sensor.model import inverse_lower
 from magcal_core.sensor.parameterisation import matrix_jacobian
 from magcal_core.sensor.parameters import Parameters
+
+if TYPE_CHECKING:
+    from magcal_core.calibration.sessions.monitoring import ActiveSet
 
 
 @dataclass(frozen=True, slots=True, eq=False)

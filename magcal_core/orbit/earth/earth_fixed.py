@@ -10,10 +10,10 @@ from typing import Final
 
 import erfa
 import numpy as np
-from numba import njit
 
 from magcal_core.arrays import Floats, Nanoseconds, Times
 from magcal_core.numerics.interpolation import lagrange_powers
+from magcal_core.numerics.kernel import kernel
 from magcal_core.orbit.earth.eop import earth_orientation
 from magcal_core.orbit.earth.timescales import NS_PER_DAY, TT_MINUS_TAI_S, julian_tt, nanoseconds, tai_minus_utc_s
 
@@ -24,7 +24,7 @@ _HALF_PI: Final = math.pi / 2.0
 _CIP_NODES: Final = 7
 
 
-@njit(cache=True, inline="always", error_model="numpy", fastmath={"contract", "nsz"})
+@kernel(inline="always", error_model="numpy", fastmath={"contract", "nsz"})
 def _sine_and_cosine(quarters: float) -> tuple[float, float]:
     """Return sine and cosine of an angle in quarter turns, by their series within an eighth of a turn (1e-16)."""
     nearest = math.floor(quarters + 0.5)
@@ -42,13 +42,13 @@ def _sine_and_cosine(quarters: float) -> tuple[float, float]:
     return s, c
 
 
-@njit(cache=True, inline="always", error_model="numpy", fastmath={"contract", "nsz"})
+@kernel(inline="always", error_model="numpy", fastmath={"contract", "nsz"})
 def _sextic(c: Floats, v: float) -> float:
     value: float = c[0] + v * (c[1] + v * (c[2] + v * (c[3] + v * (c[4] + v * (c[5] + v * c[6])))))
     return value
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@kernel(error_model="numpy", fastmath={"contract", "nsz"})
 def _rotate_teme_run(  # noqa: PLR0917 (numba takes no keyword arguments)
     since_midnight_ns: Nanoseconds,
     midnight_ns: int,
@@ -84,7 +84,7 @@ def _rotate_teme_run(  # noqa: PLR0917 (numba takes no keyword arguments)
         r_itrf_km[i, 2] = sy * b + cy * along
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@kernel(error_model="numpy", fastmath={"contract", "nsz"})
 def _rotate_to_gcrf_run(  # noqa: PLR0917 (numba takes no keyword arguments)
     since_midnight_ns: Nanoseconds,
     midnight_ns: int,

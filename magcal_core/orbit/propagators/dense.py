@@ -15,13 +15,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats, Indices, Nanoseconds
 from magcal_core.constants import EARTH_GM_KM3_S2
 from magcal_core.errors import ModelRangeError, PropagationError
 from magcal_core.numerics.interpolation import lagrange_powers
+from magcal_core.numerics.kernel import kernel
 
 SAMPLES_PER_NODE: Final = 3
 """Interpolate positions where there are at least this many samples for each node."""
@@ -166,7 +166,7 @@ def _nodes(
     return start_ns, np.flatnonzero(is_node), (np.cumsum(is_node) - 1)[used - _BEFORE], row_of_interval
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _mark(stamps_ns: Nanoseconds, start_ns: int, step_ns: int, is_used: NDArray[np.bool_]) -> None:
     low = start_ns - step_ns
     for stamp in stamps_ns:
@@ -176,7 +176,7 @@ def _mark(stamps_ns: Nanoseconds, start_ns: int, step_ns: int, is_used: NDArray[
             low = start_ns + interval * step_ns
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@kernel(error_model="numpy", fastmath={"contract", "nsz"})
 def _fit(values: Floats, first_nodes: Indices, powers: Floats, coefficients: Floats) -> None:
     for row, first in enumerate(first_nodes):
         for power in range(_NODES):
@@ -190,7 +190,7 @@ def _fit(values: Floats, first_nodes: Indices, powers: Floats, coefficients: Flo
             c[0], c[1], c[2] = x, y, z
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@kernel(error_model="numpy", fastmath={"contract", "nsz"})
 def _evaluate(  # noqa: PLR0917 (numba takes no keyword arguments)
     stamps_ns: Nanoseconds,
     start_ns: int,

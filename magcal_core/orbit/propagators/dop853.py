@@ -10,10 +10,10 @@ from math import sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy.integrate import DOP853
 
 from magcal_core.arrays import Floats
+from magcal_core.numerics.kernel import kernel
 from magcal_core.orbit.propagators.forces import NODE_S, ForceModel, ForceTables, acceleration
 
 _STAGES: Final = 12
@@ -51,7 +51,7 @@ class Steps(NamedTuple):
     status: int
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _stage(  # noqa: PLR0917
     s: int, t: float, h: float, y: Floats, k: Floats, tables: ForceTables, model: ForceModel, work: Floats, at: Floats
 ) -> None:
@@ -64,7 +64,7 @@ def _stage(  # noqa: PLR0917
     acceleration(t + _C[s] * h, at, tables, model, work, k[s])
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _error_norm(h: float, k: Floats, y: Floats, y_new: Floats, rtol: float, atol_km: float, atol_km_s: float) -> float:  # noqa: PLR0917
     five = three = 0.0
     for i in range(6):
@@ -80,7 +80,7 @@ def _error_norm(h: float, k: Floats, y: Floats, y_new: Floats, rtol: float, atol
     return abs(h) * five / sqrt((five + 0.01 * three) * 6.0)
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _polynomial(h: float, y: Floats, y_new: Floats, k: Floats, out: Floats) -> None:
     for i in range(6):
         delta = y_new[i] - y[i]
@@ -94,7 +94,7 @@ def _polynomial(h: float, y: Floats, y_new: Floats, k: Floats, out: Floats) -> N
             out[3 + p, i] = h * total
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def integrate(  # noqa: PLR0917
     t0_s: float,
     y0: Floats,
@@ -161,14 +161,14 @@ def integrate(  # noqa: PLR0917
     return n, t, y, poly, h, status
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _grown(t: Floats, y: Floats, poly: Floats, size: int) -> tuple[Floats, Floats, Floats]:
     t2, y2, poly2 = np.empty(2 * size + 1), np.empty((2 * size + 1, 6)), np.empty((2 * size, 7, 6))
     t2[: size + 1], y2[: size + 1], poly2[:size] = t, y, poly
     return t2, y2, poly2
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def evaluate(at_s: Floats, t: Floats, y: Floats, poly: Floats) -> Floats:
     """Return the states at ``at_s``, shape (n,), inside the steps: shape (n, 6), km and km/s."""
     out = np.empty((at_s.shape[0], 6))

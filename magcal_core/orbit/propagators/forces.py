@@ -8,11 +8,11 @@ from typing import Final, Literal, NamedTuple
 
 import erfa
 import numpy as np
-from numba import njit
 
 from magcal_core.arrays import Floats, Times
 from magcal_core.constants import EARTH_ROTATION_RAD_S, MOON_GM_KM3_S2, SUN_GM_KM3_S2
 from magcal_core.errors import OptionError
+from magcal_core.numerics.kernel import kernel
 from magcal_core.orbit.earth.bodies import EphemerisName, sun_moon_gcrf
 from magcal_core.orbit.earth.eop import earth_orientation
 from magcal_core.orbit.earth.frames import ERA_RATE_RAD_S, cip_coordinates, polar_motion_matrix
@@ -153,14 +153,14 @@ def _era_rad(t_utc: Times) -> Floats:
     return np.asarray(erfa.era00(*earth_orientation().julian_ut1(t_utc)))
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def node_of(t_s: float, tables: ForceTables) -> tuple[int, float]:
     """Return the node before ``t_s`` and the part of a node interval after it."""
     node = np.floor(t_s / NODE_S)
     return int(node) - tables.first_node, t_s / NODE_S - node
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def celestial_to_terrestrial(t_s: float, tables: ForceTables, out: Floats) -> None:
     """Fill ``out``, shape (3, 3), with the rotation from GCRF to ITRF at ``t_s``: W R3(ERA) C (IERS2010)."""
     i, x = node_of(t_s, tables)
@@ -179,7 +179,7 @@ def celestial_to_terrestrial(t_s: float, tables: ForceTables, out: Floats) -> No
             out[j, k] = wa * a + wb * b + wc * c
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def body_position(t_s: float, body: int, tables: ForceTables) -> tuple[float, float, float]:
     """Return Sun (0) or Moon (1) at ``t_s``, GCRF, km, by cubic Hermite interpolation."""
     i, x = node_of(t_s, tables)
@@ -193,14 +193,14 @@ def body_position(t_s: float, body: int, tables: ForceTables) -> tuple[float, fl
     return x0, x1, x2
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _tide_factors(c: float, r: float, d: float, gm: float, k2: float, radius: float) -> tuple[float, float]:  # noqa: PLR0917
     """Return the radial and the towards-the-body part of the solid tide's acceleration, km/s2; ``c`` is cos Theta."""
     scale = 0.5 * k2 * gm / d**3 * radius**5 / r**4
     return scale * (3.0 - 15.0 * c * c), scale * 6.0 * c
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def acceleration(t_s: float, y: Floats, tables: ForceTables, model: ForceModel, work: Floats, out: Floats) -> None:  # noqa: PLR0917
     """Fill ``out[3:]`` with the acceleration, GCRF, km/s2, at position and velocity ``y``, shape (6,), km and km/s.
 
@@ -248,7 +248,7 @@ def acceleration(t_s: float, y: Floats, tables: ForceTables, model: ForceModel, 
     out[3], out[4], out[5] = ax, ay, az
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def drag_acceleration(t_s: float, y: Floats, tables: ForceTables, model: ForceModel) -> tuple[float, float, float]:
     """Return the acceleration by drag, GCRF, km/s2: -rho Cd A / (2 m) |u| u with u = v - w x r, w along the CIP."""
     i, x = node_of(t_s, tables)
@@ -264,7 +264,7 @@ def drag_acceleration(t_s: float, y: Floats, tables: ForceTables, model: ForceMo
     return scale * ux, scale * uy, scale * uz
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _matrices(t_s: Floats, tables: ForceTables) -> Floats:
     out = np.empty((t_s.shape[0], 3, 3))
     for k in range(t_s.shape[0]):
@@ -272,7 +272,7 @@ def _matrices(t_s: Floats, tables: ForceTables) -> Floats:
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _bodies(t_s: Floats, tables: ForceTables) -> Floats:
     out = np.empty((t_s.shape[0], 2, 3))
     for k in range(t_s.shape[0]):
@@ -281,7 +281,7 @@ def _bodies(t_s: Floats, tables: ForceTables) -> Floats:
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def drag_accelerations(t_s: Floats, y: Floats, tables: ForceTables, model: ForceModel) -> Floats:
     """Return the acceleration by drag at states ``y``, shape (n, 6), km and km/s: shape (n, 3), GCRF, km/s2."""
     out = np.empty((t_s.shape[0], 3))

@@ -10,12 +10,12 @@ from math import lgamma, sqrt
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats
 from magcal_core.constants import EARTH_GM_KM3_S2, EARTH_RADIUS_EGM96_KM
 from magcal_core.errors import ModelRangeError
+from magcal_core.numerics.kernel import kernel
 
 MAX_DEGREE: Final = 36
 """Highest degree of the shipped EGM96 table."""
@@ -29,7 +29,7 @@ _GRS80_J2: Final = 1.08263e-3
 _INVERSE: Final = 1.0 / np.maximum(np.arange(MAX_DEGREE + 3), 1)
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def fill_solid_harmonics(x: float, y: float, z: float, radius: float, degree: int, v: Floats, w: Floats) -> None:  # noqa: PLR0917
     """Fill ``v[m, n]`` and ``w[m, n]`` with Cunningham's unnormalised functions up to ``degree``.
 
@@ -55,7 +55,7 @@ def fill_solid_harmonics(x: float, y: float, z: float, radius: float, degree: in
             w[m, n] = one * w[m, n - 1] - two * w[m, n - 2]
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def gradient_from_harmonics(c: Floats, s: Floats, degree: int, v: Floats, w: Floats) -> tuple[float, float, float]:
     """Return the gradient of U in units of GM/R^2 from ``v``, ``w`` filled to ``degree + 1``, Earth-fixed.
 
@@ -78,7 +78,7 @@ def gradient_from_harmonics(c: Floats, s: Floats, degree: int, v: Floats, w: Flo
     return ax, ay, az
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _potentials(r_km: Floats, c: Floats, s: Floats, gm: float, radius: float) -> Floats:
     degree = c.shape[0] - 1
     v, w = np.zeros((degree + 1, degree + 1)), np.zeros((degree + 1, degree + 1))
@@ -93,7 +93,7 @@ def _potentials(r_km: Floats, c: Floats, s: Floats, gm: float, radius: float) ->
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _gradients(r_km: Floats, c: Floats, s: Floats, gm: float, radius: float) -> Floats:
     degree = c.shape[0] - 1
     v, w = np.zeros((degree + 2, degree + 2)), np.zeros((degree + 2, degree + 2))
@@ -105,7 +105,7 @@ def _gradients(r_km: Floats, c: Floats, s: Floats, gm: float, radius: float) -> 
     return out * (gm / radius**2)
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _basis(r_km: Floats, index: NDArray[np.int64], norm: Floats, gm: float, radius: float) -> Floats:
     degree = norm.shape[0] - 1
     v, w = np.zeros((degree + 1, degree + 1)), np.zeros((degree + 1, degree + 1))

@@ -184,6 +184,15 @@ def test_the_banded_solution_is_that_of_all_unknowns_in_one_matrix():
     np.testing.assert_allclose(told[0], wanted, rtol=1e-5, atol=1e-6 * np.abs(wanted).max())
 
 
+def test_the_likelihoods_of_all_noise_models_are_those_of_each_one_solved():
+    """Rounding of log det alone: some hundred terms of size 10."""
+    blocks = wb.Blocks.of(moments_of(session(430), "vector")).together(6)
+    models = (wb.Wander(0.0, 0.0), wb.Wander(2700.0, 0.4), wb.Wander(600.0, 0.05), wb.Wander(0.0, 0.0))
+    alone = [wb.solved(blocks, wb.Process.of(blocks, model), ()).log_likelihood for model in models]
+    np.testing.assert_allclose(wb.plain_log_likelihoods(blocks, models), alone, rtol=0.0, atol=1e-6)
+    assert len(set(alone)) == 3
+
+
 def test_the_quick_look_finds_nothing_only_where_the_whole_search_does(monkeypatch):
     from magcal_core.calibration.terms import bias_steps as module
 

@@ -1,0 +1,70 @@
+"""What commands load: time is not asserted, but that nothing is loaded that takes it."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from magcal_core.simulation.dekart_mission import SESSIONS, simulated, tle_text
+from magcal_core.telemetry import write_samples
+
+CALIBRATE = """
+import contextlib, io, sys
+from app.cli.main import run
+with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
+    run(["calibrate", *sys.argv[1:], "--json"])
+print(sorted(sys.modules))
+"""
+HELP = """
+import contextlib, io, sys
+from app.cli.main import run
+with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
+    run([*sys.argv[1:], "--help"])
+print(sorted(sys.modules))
+"""
+HEAVY = {
+    "scipy.linalg", "scipy.special", "scipy.stats", "scipy.signal", "scipy.optimize", "pandas", "numpy.f2py",
+    "pyarrow.parquet", "pyarrow.dataset", "pydantic", "fastapi", "sqlalchemy",
+}  # fmt: skip
+COMPILER = {"numba.np.arraymath", "numba.np.linalg", "numba.np.npyimpl", "numba.typed.typeddict", "numba.misc.cffiimpl"}
+"""Modules that numba compiles with: a kernel that is on the disk needs none of them."""
+UNASKED = {
+    "magcal_core.calibration.sessions.trend",
+    "magcal_core.calibration.sessions.monitoring",
+    "magcal_core.calibration.diagnosis.gyro_mounting",
+    "magcal_core.field.index_files.read",
+}
+"""What a calibration without windows, a set in force, gyros or an index does not use."""
+
+
+def loaded(code: str, *arguments: str) -> set[str]:
+    """Return the modules that a fresh process has loaded in the end."""
+    command = [sys.executable, "-c", code, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    return set(done.stdout.strip(" []\n").replace("'", "").split(", "))
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """Return the arguments of a default calibration of 700 clean samples."""
+    folder: Path = tmp_path_factory.mktemp("cold")
+    (folder / "telemetry.csv").write_bytes(write_samples(simulated(SESSIONS[0]).samples, "csv"))
+    (folder / "orbit.tle").write_text(tle_text())
+    return [str(folder / "telemetry.csv"), "--tle", str(folder / "orbit.tle")]
+
+
+def test_a_cold_calibration_loads_neither_a_compiler_nor_what_it_does_not_use(files: list[str]) -> None:
+    loaded(CALIBRATE, *files)  # its kernels are on the disk from here on
+    modules = loaded(CALIBRATE, *files)
+    assert "magcal_core.pipeline" in modules
+    assert modules & (HEAVY | COMPILER | UNASKED) == set()
+
+
+@pytest.mark.parametrize(
+    "command", ["", "demo", "serve", "worker", "push", "report", "convert", "keys", "keys create", "db", "db upgrade"]
+)
+def test_help_loads_nothing_that_computes(command: str) -> None:
+    modules = loaded(HELP, *command.split())
+    assert "click" in modules
+    assert modules & ({"numpy", "numba", "pyarrow", "scipy"} | HEAVY) == set()
