@@ -49,5 +49,5 @@ def with_white_noise(
     white = estimator.fit(observations, replace(settings, noise_model="white", near=None))
     honest = honest_covariance(plain.blocks, plain.covariance, len(observations), covered_s(observations.t_s))
     variances = np.diag(honest.covariance)[:9] + considered
-    moves = np.abs(white.parameters.vector - plain.parameters.vector)[:9]
+    moves = np.abs(white.parameters.vector[:9] - plain.parameters.vector[:9])
     return white if np.any(moves > MOVED * np.sqrt(variances)) else None
