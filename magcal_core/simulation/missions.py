@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 from scipy.signal import lfilter
 
-from magcal_core.arrays import Floats, Times
+from magcal_core.arrays import Floats, Mask, Times
 from magcal_core.field import FieldModel
 from magcal_core.field.external import ExternalField
 from magcal_core.field.hourly import hourly
-from magcal_core.field.igrf import Igrf
+from magcal_core.field.igrf import MAX_RADIUS_KM, Igrf
 from magcal_core.field.index import HOUR_NS, Index
 from magcal_core.field.summed import SummedField
 from magcal_core.options import CalibrationOptions
@@ -22,9 +22,11 @@ from magcal_core.orbit.earth.frames import gcrf_to_itrf
 from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
 from magcal_core.samples import Samples
 from magcal_core.sensor.model import SensorModel
-from magcal_core.simulation.telemetry import Disturbances, Simulation, simulate
+from magcal_core.simulation.telemetry import Disturbances, simulate
 
 MOST_SAMPLES: Final = 1200
+FREE_MOTION: Final = "free motion"
+"""Kind of the missions of `draw_mission`."""
 _EARTH_RADIUS_KM: Final = 6378.135
 _GM_KM3_S2: Final = 398600.8
 _HOURS: Final = 14 * 24
@@ -112,10 +114,33 @@ class DisturbedField:
             random.normal(scale=2.5, size=(8, 3)),
         )
 
+    @classmethod
+    def drawn_far(cls, random: np.random.Generator) -> DisturbedField:
+        """Return a field for orbits that no index of the external field covers: 15 nT a component, no crust."""
+        nothing = np.zeros((1, 3))
+        return cls(FarField(Igrf()), random.normal(0.0, 15.0, 3), nothing, np.zeros(1), nothing)
+
     def field_itrf_nt(self, t_utc: Times, r_itrf_km: Floats) -> Floats:
         """Return the field at ``t_utc`` and ``r_itrf_km``, shape (n, 3), ITRF, nT."""
         crust = np.sin(r_itrf_km @ self.waves_per_km.T + self.phases_rad) @ self.crust_nt
         return np.asarray(self.main.field_itrf_nt(t_utc, r_itrf_km) + self.other_nt + crust)
+
+
+@dataclass(frozen=True, slots=True)
+class FarField:
+    """The main field at any height: beyond the reach of ``main`` that at its reach, weakened as a dipole's."""
+
+    main: FieldModel
+
+    @property
+    def name(self) -> str:
+        """Name in records."""
+        return f"{self.main.name} far"
+
+    def field_itrf_nt(self, t_utc: Times, r_itrf_km: Floats) -> Floats:
+        """Return the field at ``t_utc`` and ``r_itrf_km``, shape (n, 3), ITRF, nT."""
+        beyond = np.maximum(np.linalg.norm(r_itrf_km, axis=1, keepdims=True) / (MAX_RADIUS_KM - 1.0), 1.0)
+        return np.asarray(self.main.field_itrf_nt(t_utc, r_itrf_km / beyond) / beyond**3)
 
 
 def _drawn_index(random: np.random.Generator, start_utc: np.datetime64) -> Index:
@@ -139,16 +164,38 @@ def _moved_index(random: np.random.Generator, start_utc: np.datetime64, index: I
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mission:
-    """One simulated mission: what was sent, what it is calibrated with, and the truth."""
+    """One simulated mission: what was sent, what it is calibrated with, and the truth.
+
+    Attributes
+    ----------
+    kind, motion : what was drawn, in words.
+    truth : the sensor without what moves its bias; ``cubic_share`` is how far its response bends (`electronics.cubic`).
+    sigma_nt : standard deviation of the white noise of a reading, nT.
+    b_base_nt, moved_nt : shape (n, 3)
+        True field in the base frame, and by how much the bias is off that of ``truth``, nT.
+    is_sound : shape (n,)
+        Readings that tell of the field: no spike, not cut, not stuck, within the field model's reach.
+    light : shape (n,), optional
+        Share of the Sun that is seen, where it was followed.
+    is_determined : whether the readings can determine a calibration at all; where not, a refusal is right.
+    drawn : range -> the figure that was drawn from it.
+    """
 
     seed: int
+    kind: str
     motion: str
     samples: Samples
     orbits: tuple[Orbit, ...]
     options: CalibrationOptions
     truth: SensorModel
     sigma_nt: float
-    simulation: Simulation
+    b_base_nt: Floats
+    moved_nt: Floats
+    is_sound: Mask
+    light: Floats | None = None
+    cubic_share: Floats = field(default_factory=lambda: np.zeros(3))
+    is_determined: bool = True
+    drawn: Mapping[str, float] = field(default_factory=dict)
 
 
 def draw_mission(seed: int, index: Index | None = None) -> Mission:
@@ -169,7 +216,7 @@ def draw_mission(seed: int, index: Index | None = None) -> Mission:
     duration_s = float(np.exp(random.uniform(np.log(360.0), np.log(2 * 86400.0))))
     step_s = max(float(random.choice([1.0, 2.0, 5.0, 10.0, 30.0])), float(np.ceil(duration_s / MOST_SAMPLES)))
     motion = str(random.choice(["tumbling", "one axis", "once per orbit", "still"], p=[0.7, 0.15, 0.1, 0.05]))
-    truth, is_vector = _sensor(random), bool(random.random() < 1 / 3)
+    truth, is_vector = draw_sensor(random), bool(random.random() < 1 / 3)
     disturbed = _disturbances(random, is_vector=is_vector)
     field = DisturbedField.drawn(random, start, index)
     made = simulate(
@@ -184,12 +231,29 @@ def draw_mission(seed: int, index: Index | None = None) -> Mission:
         disturbances=disturbed,
         seed=seed,
     )
-    age_days = float(random.uniform(0.0, 10.0))
-    late_s = float(random.normal()) * (0.64 + 1.5 * age_days + 0.2 * age_days**2) / 7.6
-    reference = DisplacedOrbit(true_orbit, start, age_days, late_s, float(random.normal()) * (0.2 + 0.05 * age_days))
+    reference = displaced(random, true_orbit, start, float(random.uniform(0.0, 10.0)))
     robust = str(random.choice(["none", "huber"]))
     options = CalibrationOptions(method="vector" if is_vector else "scalar", robust=robust)
-    return Mission(seed, motion, made.samples, (reference,), options, truth, disturbed.noise_nt, made)
+    outliers = made.truth["outlier_rows"]
+    return Mission(
+        seed,
+        FREE_MOTION,
+        motion,
+        made.samples,
+        (reference,),
+        options,
+        truth,
+        disturbed.noise_nt,
+        made.b_base_nt,
+        made.samples.h_nt - truth.apply(made.b_base_nt),
+        ~np.isin(np.arange(len(made.samples)), outliers if isinstance(outliers, list) else []),
+    )
+
+
+def displaced(random: np.random.Generator, true: Orbit, start: np.datetime64, age_days: float) -> DisplacedOrbit:
+    """Return what a TLE of that age makes of an orbit, with the error along the track that such TLEs have."""
+    late_s = float(random.normal()) * (0.64 + 1.5 * age_days + 0.2 * age_days**2) / 7.6
+    return DisplacedOrbit(true, start, age_days, late_s, float(random.normal()) * (0.2 + 0.05 * age_days))
 
 
 def draw_orbit(random: np.random.Generator, start: np.datetime64) -> Sgp4Orbit:
@@ -197,14 +261,34 @@ def draw_orbit(random: np.random.Generator, start: np.datetime64) -> Sgp4Orbit:
     return Sgp4Orbit.from_tle(_tle_text(random, start))
 
 
+def draw_transfer_orbit(random: np.random.Generator, start: np.datetime64, draws: Mapping[str, float]) -> Sgp4Orbit:
+    """Return a geostationary transfer orbit with its epoch at ``start``: heights, km, and inclination as ``draws``."""
+    perigee_km, apogee_km = (_EARTH_RADIUS_KM + draws[f"transfer_{end}_km"] for end in ("perigee", "apogee"))
+    radius_km = 0.5 * (perigee_km + apogee_km)
+    shape = (apogee_km - perigee_km) / (apogee_km + perigee_km)
+    text = _tle(random, start, radius_km, draws["transfer_inclination_deg"], lambda: shape)
+    return Sgp4Orbit.from_tle(text)
+
+
 def _tle_text(random: np.random.Generator, start: np.datetime64) -> str:
     height_km, inclination = (
         random.uniform(300.0, 1200.0),
         np.rad2deg(np.arccos(random.uniform(np.cos(np.deg2rad(100)), 1))),
     )
+    return _tle(random, start, _EARTH_RADIUS_KM + height_km, inclination, lambda: random.uniform(0.0001, 0.004))
+
+
+def _tle(
+    random: np.random.Generator,
+    start: np.datetime64,
+    radius_km: float,
+    inclination: float,
+    shape: Callable[[], float],
+) -> str:
+    """Return a TLE of that mean radius, its angles drawn, then its eccentricity from ``shape``."""
     raan, argument, anomaly = random.uniform(0.0, 360.0, 3)
-    eccentricity = random.uniform(0.0001, 0.004)
-    revolutions = 86400.0 / (2 * np.pi) * np.sqrt(_GM_KM3_S2 / (_EARTH_RADIUS_KM + height_km) ** 3)
+    eccentricity = shape()
+    revolutions = 86400.0 / (2 * np.pi) * np.sqrt(_GM_KM3_S2 / radius_km**3)
     year = int(str(start)[:4])
     day = 1.0 + (start - np.datetime64(f"{year}-01-01T00:00:00", "ns")) / np.timedelta64(1, "ns") / 86400e9
     first = f"1 99999U 21001A   {year % 100:02d}{day:012.8f}  .00000000  00000-0  00000+0 0    0"
@@ -219,7 +303,8 @@ def _checksum(line: str) -> int:
     return sum(int(c) if c.isdigit() else c == "-" for c in line) % 10
 
 
-def _sensor(random: np.random.Generator) -> SensorModel:
+def draw_sensor(random: np.random.Generator) -> SensorModel:
+    """Return a sensor, mild (10 %, 3 deg, 5 uT) or, in a third, strong (0.4 to 2.5, 30 deg, 50 uT)."""
     if random.random() < 1 / 3:
         scale = np.exp(random.uniform(np.log(0.4), np.log(2.5), 3))
         return SensorModel(random.uniform(-50000, 50000, 3), scale, random.uniform(-30.0, 30.0, 3))
