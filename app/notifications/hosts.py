@@ -14,6 +14,10 @@ Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 PORTS: Final = {"http": 80, "https": 443}
+TRANSLATED: Final = ipaddress.IPv6Network("64:ff9b::/96")
+"""IPv4 addresses as a network of IPv6 alone reaches them (NAT64): the last four bytes are the address."""
+TRANSLATED_LOCALLY: Final = ipaddress.IPv6Network("64:ff9b:1::/48")
+"""The same as a network lays it out for itself, so that nobody else can tell which address is meant."""
 LOOPBACK: Final[tuple[Network, ...]] = (ipaddress.IPv4Network("127.0.0.0/8"), ipaddress.IPv6Network("::1/128"))
 
 
@@ -147,13 +151,15 @@ class AllowedHosts:
 def is_public(address: Address) -> bool:
     """Return whether an address is one of the public network."""
     plain = _plain(address)
-    return plain.is_global and not plain.is_multicast
+    return plain.is_global and not plain.is_multicast and plain not in TRANSLATED_LOCALLY
 
 
 def _plain(address: Address) -> Address:
     """Return the IPv4 address that an IPv6 address stands for, or the address itself."""
     if not isinstance(address, ipaddress.IPv6Address):
         return address
+    if address in TRANSLATED:
+        return ipaddress.IPv4Address(int(address) & 0xFFFF_FFFF)
     return address.ipv4_mapped or address.sixtofour or address
 
 

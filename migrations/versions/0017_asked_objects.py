@@ -14,6 +14,7 @@ UPDATE connector_request SET catalogue_number = (
     WHERE satellite.id = connector_request.satellite_id
 )
 """
+MARKS = sa.table("connector_mark", sa.column("name"), sa.column("satellite_id"))
 PLACES = {"yamcs": 1, "satnogs": 1, "hapi": 1, "orbits-of-the-past": 2}
 """First word of a mark's name, and where in it the satellite stands."""
 
@@ -37,10 +38,12 @@ def upgrade() -> None:
         words = name.split("/")
         if words[0] in PLACES:
             own = words[PLACES[words[0]]]
-            text = "UPDATE connector_mark SET satellite_id = :own WHERE name = :name"
-            if own not in known:
-                text = "DELETE FROM connector_mark WHERE name = :name AND :own IS NOT NULL"
-            connection.execute(sa.text(text), {"own": own, "name": name})
+            found = MARKS.c.name == name
+            connection.execute(
+                sa.update(MARKS).where(found).values(satellite_id=own)
+                if own in known
+                else sa.delete(MARKS).where(found)
+            )
 
 
 def downgrade() -> None:
