@@ -1,5 +1,6 @@
 """What displays are drawn from: the same numbers as the records, and no more than the key may see."""
 
+import time
 from collections.abc import Iterator
 
 import httpx2
@@ -47,6 +48,10 @@ def test_every_display_answers_a_key_that_reads_and_nobody_else(service, mission
 
 
 def test_the_overview_shows_what_is_in_force(api, mission):
+    deadline = time.monotonic() + 30.0  # an activation has the satellite's sessions judged, by jobs
+    while any(one["state"] in {"queued", "running"} for one in api.get("/jobs?limit=1000").json()["items"]):
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
     (row,) = api.get(f"/overview?satellite={mission.satellite}").json()["items"]
     record = api.get(f"/parameter-sets/{mission.second}").json()
     assert row["active"]["id"] == row["newest"]["id"] == mission.second
