@@ -177,6 +177,7 @@ def _services(settings: Settings, workers: int) -> Services:
         ingest=ingest,
         keeper=Keeper(ingest, database),
         newest_entry=NewestEntry(database),
+        preparing=lambda: None if engine.workers is None else engine.workers.kernels.preparing,
         stopped_sources=lambda: stopped_sources(database),
         notifier=Notifier(database, settings),
         orbit_watcher=None if source is None else OrbitWatcher(database, settings, source),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Final
@@ -46,7 +46,9 @@ WRONG_KEY: Final = "This is not a valid key. It may have expired or been revoked
 
 @dataclass(frozen=True, kw_only=True)
 class PageServices(AccessServices, AttentionServices, ListingServices):
-    """What the pages need of what the application holds; they add nothing."""
+    """What the pages need of what the application holds; ``preparing`` is as in `OperationServices`."""
+
+    preparing: Callable[[], tuple[int, int] | None]
 
 
 @cache
@@ -99,6 +101,7 @@ def _page(
         scopes=sorted(caller.scopes),
         answers={path: script_json(text) for path, text in answers.items()},
         newest_event=newest_event,
+        preparing=held.preparing(),
         counts=page_data.counts_of(held.fleet, caller, held.database),
     )
 

@@ -7,6 +7,7 @@ from typing import Protocol
 
 from sqlalchemy.orm import Session
 
+from app.jobs.kernels import Kernels
 from app.jobs.tables import Job
 
 
@@ -30,7 +31,9 @@ class Queue(Protocol):
 
 
 class Workers(Protocol):
-    """Job workers of one process."""
+    """Job workers of one process; they take no job before their ``kernels`` are ready."""
+
+    kernels: Kernels
 
     def start(self) -> None:
         """Begin to take jobs."""

@@ -33,8 +33,15 @@ State = Literal["ok", "failing"]
 
 @dataclass(frozen=True, kw_only=True)
 class OperationServices:
-    """What operations add to what the application holds: the sources of orbits that are no longer asked, and why."""
+    """What operations add to what the application holds.
 
+    Attributes
+    ----------
+    preparing : how many of this process's kernels are compiled, and of how many; None once they all are.
+    stopped_sources : the sources of orbits that are no longer asked, and why.
+    """
+
+    preparing: Callable[[], tuple[int, int] | None]
     stopped_sources: Callable[[], Sequence[str]]
 
 
@@ -52,6 +59,9 @@ class Ready(Record):
     store: State
     queue: State
     disk: State
+    kernels: str = Field(
+        description="`ok`, or `preparing` and how much is compiled: jobs wait for it, and everything else answers."
+    )
     sources: str = Field(description="`ok`, or which sources of orbits are no longer asked, and why.")
 
 
@@ -74,7 +84,8 @@ def ready(  # noqa: PLR0917  FastAPI reads a call's inputs from its arguments
     }
     status = _state(all(state == "ok" for state in found.values()))
     response.status_code = 200 if status == "ok" else 503
-    return Ready(status=status, sources=_stopped(request, db), **found)
+    kernels = _kernels(services_of(request.app, OperationServices).preparing())
+    return Ready(status=status, kernels=kernels, sources=_stopped(request, db), **found)
 
 
 @router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
@@ -89,6 +100,13 @@ def metrics(request: Request, db: Db, config: Config, fleet: Known) -> Response:
 
 def _state(is_good: bool) -> State:
     return "ok" if is_good else "failing"
+
+
+def _kernels(preparing: tuple[int, int] | None) -> str:
+    if preparing is None:
+        return "ok"
+    done, parts = preparing
+    return f"preparing: {done} of {parts}" if parts else "preparing"
 
 
 def _stopped(request: Request, db: Db) -> str:

@@ -28,6 +28,7 @@ from sqlalchemy.orm import Session
 from app.errors import UnavailableError
 from app.jobs.execution.attempt import PATIENCE_S, Executor
 from app.jobs.execution.leases import bury_lost, claim_one, lapsed_by_clock
+from app.jobs.kernels import Kernels
 from app.jobs.kinds.contract import Claim
 from app.jobs.request_version import QUEUES, queue_of
 from app.jobs.tables import Job
@@ -112,16 +113,15 @@ class ClusterWorkers:
         self._name = f"{socket.gethostname()}:{os.getpid()}"
         self._executors = [Executor(database, store, settings, cluster) for _ in range(count)]
         self._free: queue.SimpleQueue[Executor] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=lambda: asyncio.run(self._run()), daemon=True)
+        self.kernels = Kernels()
+        self._thread = threading.Thread(target=self._work_when_ready, daemon=True)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._running: asyncio.Task[None] | None = None
         self._stopping = threading.Event()
 
     def start(self) -> None:
-        """Start the children, then the thread that gives them work."""
-        for executor in self._executors:
-            executor.calculator.prepare()
-            self._free.put(executor)
+        """Start the thread, which starts the children once the kernels are ready, then gives them work."""
+        self.kernels.prepare()
         self._thread.start()
 
     def stop(self, grace_s: float) -> None:
@@ -137,6 +137,15 @@ class ClusterWorkers:
             log.warning("queue_loop_left", waited_s=LOOP_GRACE_S)
         for executor in self._executors:
             executor.calculator.kill()
+        self.kernels.stop()
+
+    def _work_when_ready(self) -> None:
+        if not self.kernels.wait(self._stopping):
+            return
+        for executor in self._executors:
+            executor.calculator.prepare()
+            self._free.put(executor)
+        asyncio.run(self._run())
 
     def _interrupt(self) -> None:
         """End procrastinate's worker; unless the workers are stopping, another begins in its place."""

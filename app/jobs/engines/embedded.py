@@ -13,6 +13,7 @@ from sqlalchemy.orm import Session
 
 from app.jobs.execution.attempt import Executor
 from app.jobs.execution.leases import Sightings, claim_next, is_work_waiting
+from app.jobs.kernels import Kernels
 from app.jobs.kinds.contract import Claim
 from app.jobs.tables import Job
 from app.settings import Settings
@@ -52,6 +53,7 @@ class EmbeddedWorkers:
         self._queue = queue
         self._sightings = Sightings(settings.job_lease_s, settings.job_heartbeat_s)
         self._stopping = threading.Event()
+        self.kernels = Kernels()
         self._executors = [Executor(database, store, settings, queue) for _ in range(count)]
         self._threads = [
             threading.Thread(target=self._work, args=(executor, f"{socket.gethostname()}:{os.getpid()}:{number}"))
@@ -59,9 +61,8 @@ class EmbeddedWorkers:
         ]
 
     def start(self) -> None:
-        """Start the children, then the threads that give them work."""
-        for executor in self._executors:
-            executor.calculator.prepare()
+        """Start the threads; each starts its child once the kernels are ready, then gives it work."""
+        self.kernels.prepare()
         for thread in self._threads:
             thread.start()
 
@@ -77,8 +78,12 @@ class EmbeddedWorkers:
             thread.join()
         for executor in self._executors:
             executor.calculator.kill()
+        self.kernels.stop()
 
     def _work(self, executor: Executor, name: str) -> None:
+        if not self.kernels.wait(self._stopping):
+            return
+        executor.calculator.prepare()
         is_busy = False
         while not self._stopping.is_set():
             seen = self._queue.announced
