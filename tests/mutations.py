@@ -136,7 +136,7 @@ FAULTS: Final[dict[str, Fault]] = {
         (f"{CORE_TESTS}/uncertainty/test_low_frequencies.py",),
     ),
     "size-of-a-memory": Fault(
-        f"{UNCERTAINTY}/low_frequencies.py", "np.sqrt(rest * sizes[:, None] / count)", "np.sqrt(rest / count)",
+        f"{UNCERTAINTY}/low_frequencies.py", "np.sqrt(rest * self.sizes[:, None] / count)", "np.sqrt(rest / count)",
         (f"{CORE_TESTS}/uncertainty/test_low_frequencies.py",),
     ),
     "angles-of-the-field-error": Fault(

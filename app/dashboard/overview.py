@@ -23,6 +23,7 @@ from app.sessions.repository import SessionRepository
 from app.sessions.schemas import SessionQuery
 from app.sessions.tables import TelemetrySession
 from app.storage.database import utc_now
+from magcal_core.options import CalibrationOptions
 
 Place = tuple[str, str]
 
@@ -222,6 +223,7 @@ def _history_row(
         "activated_at": None if activation is None else activation.begun_at,
         "replaced_id": replaced_id,
         "session_ids": session_ids,
+        "options": _options_in_words(one["provenance"].get("options", {})),
         "samples": statistics["samples"],
         "rms_before_nt": statistics["before"]["rms_nt"],
         "rms_nt": statistics["after"]["rms_nt"],
@@ -229,6 +231,19 @@ def _history_row(
         "orbit_age_days": oldest_orbit_days(one),
     }
     return HistoryRow.model_validate(values | _flat(one))
+
+
+def _options_in_words(options: Mapping[str, object]) -> str:
+    """Return the options beside the method that differ from the defaults: ``robust tukey, regressors temp current``."""
+    defaults = CalibrationOptions().to_dict()
+    asked = {
+        name: value
+        for name, value in options.items()
+        if name != "method" and value is not None and value != defaults.get(name)
+    }
+    return ", ".join(
+        f"{name} {' '.join(map(str, value)) if isinstance(value, list) else value}" for name, value in asked.items()
+    )
 
 
 def _flat(one: SetSummary) -> dict[str, float | None]:

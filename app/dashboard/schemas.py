@@ -72,6 +72,7 @@ class HistoryRow(Record):
     activated_at: UtcTime | None
     replaced_id: str | None = Field(description="The set that a rollback of this one would bring back.")
     session_ids: list[str]
+    options: str = Field(description="Options of the calibration that are not the defaults, in words, empty for none.")
     samples: int
     rms_before_nt: float | None
     rms_nt: float | None

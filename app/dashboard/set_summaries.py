@@ -42,7 +42,7 @@ def summaries(session: Session, set_ids: Sequence[str]) -> list[SetSummary]:
     ).where(row_of.id.in_(set_ids))
     found: dict[str, SetSummary] = {}
     for row in session.execute(statement):
-        *shown, orbits = from_json(row.shown)
+        *shown, orbits, options = from_json(row.shown)
         verdict, field_model, orbit_model, parameters, standard_errors, formal_standard_errors, statistics = shown
         found[row.id] = {
             "id": row.id,
@@ -59,7 +59,7 @@ def summaries(session: Session, set_ids: Sequence[str]) -> list[SetSummary]:
             "standard_errors": standard_errors,
             "formal_standard_errors": formal_standard_errors,
             "statistics": statistics,
-            "provenance": {"orbits": orbits or []},
+            "provenance": {"orbits": orbits or [], "options": options or {}},
         }
     return [found[set_id] for set_id in set_ids]
 
@@ -76,10 +76,10 @@ def residuals_of(session: Session, set_ids: Sequence[str]) -> dict[str, Residual
 
 
 def _shown(connection: Connection) -> ColumnElement[str]:
-    """Return the text of a JSON array of what is `SHOWN` of a record, and its orbits."""
+    """Return the text of a JSON array of what is `SHOWN` of a record, its orbits and options."""
     record = ParameterSet.record
     if connection.dialect.name == "postgresql":
-        parts = (*(record[name] for name in SHOWN), record["provenance"]["orbits"])
+        parts = (*(record[name] for name in SHOWN), record["provenance"]["orbits"], record["provenance"]["options"])
         return cast(func.jsonb_build_array(*parts), Text)
-    paths = (*(f"$.{name}" for name in SHOWN), "$.provenance.orbits")
+    paths = (*(f"$.{name}" for name in SHOWN), "$.provenance.orbits", "$.provenance.options")
     return func.json_extract(cast(record, Text), *paths, type_=Text)

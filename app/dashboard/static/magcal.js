@@ -121,6 +121,12 @@ export function section(heading, ...children) {
   return h("section", {}, h("h2", { id }, heading), ...children);
 }
 
+// Links to the sections of a page that is longer than a few screens.
+export function contents() {
+  const headings = [...document.querySelectorAll("#main > section > h2[id]")];
+  return h("nav", { class: "contents", "aria-label": "On this page" }, headings.map((one) => h("a", { href: `#${one.id}` }, one.textContent)));
+}
+
 export function facts(rows) {
   return h("table", { class: "facts" }, h("tbody", {}, rows.filter(([, value]) => value !== null && value !== undefined).map(
     ([name, value]) => h("tr", {}, h("th", { scope: "row" }, name), h("td", {}, value)))));

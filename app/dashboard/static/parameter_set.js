@@ -1,5 +1,5 @@
 // One parameter set: the verdict and its reasons first, then numbers, then figures; activate and roll back.
-import { api, causes, confirm, facts, fixed, form, field, grade, h, listed, may, notice, nt, option, section, short, show, start, SYMBOLS, tiles, time, title } from "./magcal.js";
+import { api, causes, confirm, contents, facts, fixed, form, field, grade, h, listed, may, notice, nt, option, section, short, show, start, SYMBOLS, tiles, time, title } from "./magcal.js";
 import { differenceTable, parameterTable, statisticsTable } from "./parameters.js";
 import { follow } from "./job.js";
 import { live } from "./live.js";
@@ -250,6 +250,7 @@ async function draw() {
     section("Export for flight software", exporter(record)),
     notes(`/parameter-sets/${id}`),
     section("Provenance", provenance(record)));
+  document.querySelector("#main > .heading").after(contents());
   const compare = async () => {
     const rows = await listed(`/satellites/${record.satellite}/history?magnetometer=${encodeURIComponent(record.magnetometer)}`, 1000);
     others.replaceChildren(comparer(record, rows));

@@ -23,6 +23,13 @@ const SESSION_COLUMNS = [
   { name: "received", value: (r) => r.created_at, show: (r) => time(r.created_at) },
 ];
 
+const MOST_NAMED = 3;
+
+function listOf(sessions) {
+  const named = sessions.slice(0, MOST_NAMED).map((one, i) => [i ? ", " : "", h("a", { href: `/sessions/${one}` }, short(one))]);
+  return h("span", {}, named, sessions.length > MOST_NAMED ? ` and ${sessions.length - MOST_NAMED} more` : "");
+}
+
 export const SET_COLUMNS = [
   { name: "parameter set", value: (r) => r.id, show: (r) => h("a", { href: `/parameter-sets/${r.id}` }, short(r.id)) },
   { name: "status", value: (r) => r.status, show: (r) => r.status === "active" ? h("strong", {}, "active") : r.status },
@@ -35,6 +42,8 @@ export const SET_COLUMNS = [
   { name: "cross-validated", numeric: true, value: (r) => r.cross_validated_rms_nt, show: (r) => fixed(r.cross_validated_rms_nt) },
   { name: "orbit's age, d", numeric: true, value: (r) => r.orbit_age_days, show: (r) => fixed(r.orbit_age_days, 2) },
   { name: "samples", numeric: true, value: (r) => r.samples },
+  { name: "sessions", value: (r) => r.session_ids.join(" "), show: (r) => listOf(r.session_ids) },
+  { name: "options", value: (r) => r.options, show: (r) => r.options || "–" },
   { name: "created", value: (r) => r.created_at, show: (r) => time(r.created_at) },
 ];
 

@@ -144,3 +144,17 @@ def test_a_parameter_set_in_a_list_takes_under_500_bytes_on_request(api, mission
         assert one["rms_nt"] == full["statistics"]["after"]["rms_nt"]
         assert (one["grade"], one["status"]) == (full["verdict"]["grade"], full["status"])
     assert answer.headers["etag"] != api.get("/parameter-sets", params=query | {"view": "full"}).headers["etag"]
+
+
+def test_a_row_of_the_history_says_what_was_asked_for_beside_the_defaults(api, mission):
+    body = {"kind": "calibration", "session_ids": [mission.session], "robust": "tukey", "max_orbit_age_days": 9}
+    job = api.post("/jobs", json=body).json()
+    deadline = time.monotonic() + 60.0
+    while job["state"] in {"queued", "running"}:
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+        job = api.get(f"/jobs/{job['id']}").json()
+    rows = {one["id"]: one for one in api.get(f"/satellites/{mission.satellite}/history").json()["items"]}
+    asked = rows[job["result"]["parameter_set_id"]]
+    assert (asked["session_ids"], asked["options"]) == ([mission.session], "robust tukey, max_orbit_age_days 9.0")
+    assert rows[mission.first]["options"] == ""
