@@ -139,12 +139,11 @@ def command(
 
 
 def _instant(text: str) -> np.datetime64:
-    import numpy as np
 
-    from magcal_core.telemetry.iso_times import parse_iso_ns
+    from magcal_core.telemetry.iso_times import parse_iso_time
 
     try:
-        return np.datetime64(parse_iso_ns(text), "ns")
+        return parse_iso_time(text)
     except InputError as error:
         raise click.BadParameter(f"{text!r}: {error.message}", param_hint="--start") from error
 

@@ -25,7 +25,7 @@ from app.parameter_sets.schemas import ParametersRead
 from app.parameter_sets.tables import ParameterSet
 from app.records.json_numbers import without_nan
 from app.satellites.repository import SatelliteRepository
-from magcal_core.telemetry.iso_times import parse_iso_ns
+from magcal_core.telemetry.iso_times import parse_iso_time
 
 if TYPE_CHECKING:
     from magcal_core.calibration.sessions.trend import Trend
@@ -242,7 +242,7 @@ def _time(text: str) -> np.datetime64:
     TimeError
         The text is no time with a zone.
     """
-    return np.datetime64(parse_iso_ns(text), "ns")
+    return parse_iso_time(text)
 
 
 def _aware(t_utc: np.datetime64) -> object:

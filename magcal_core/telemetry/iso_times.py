@@ -18,6 +18,7 @@ NO_TIME: Final = int(np.iinfo(np.int64).min)
 EARLIEST_NS: Final = int(np.datetime64("1972-01-01", "ns").astype(np.int64))
 """UTC with leap seconds begins in 1972; earlier times are clocks that were never set."""
 LATEST_NS: Final = int(np.datetime64("2100-01-01", "ns").astype(np.int64))
+LAST_NS: Final = int(np.iinfo(np.int64).max)
 
 _NS: Final = 1_000_000_000
 _CLOCK: Final = r"(?P<hour>\d\d)(?::?(?P<minute>\d\d)(?::?(?P<second>\d\d)(?:[.,](?P<fraction>\d{1,18}))?)?)"
@@ -35,6 +36,14 @@ _NUMBER: Final = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII
 def is_number(text: str) -> bool:
     """Return whether ``text`` is a plain decimal number."""
     return _NUMBER.fullmatch(text) is not None
+
+
+def parse_iso_time(text: str) -> np.datetime64:
+    """Return an ISO 8601 time with a zone in UTC; one that nanoseconds cannot count is the nearest that they can.
+
+    They count from 1677 to 2262. Errors are those of `parse_iso_ns`.
+    """
+    return np.datetime64(min(max(parse_iso_ns(text), -LAST_NS), LAST_NS), "ns")
 
 
 def parse_iso_ns(text: str, *, is_utc: bool = False) -> int:

@@ -9,7 +9,7 @@ import numpy as np
 
 from magcal_core.arrays import Mask, Times
 from magcal_core.errors import InputError, OptionError, TimeError
-from magcal_core.telemetry.iso_times import parse_iso_ns
+from magcal_core.telemetry.iso_times import parse_iso_time
 
 Span = tuple[np.datetime64, np.datetime64]
 """From a time on, until before another, UTC."""
@@ -30,7 +30,7 @@ def parse_span(text: str) -> Span:
     if len(parts) != 2:
         raise TimeError("want FROM/UNTIL, two times in ISO 8601 with Z and a slash between them")
     try:
-        begin, end = (np.datetime64(parse_iso_ns(part.strip()), "ns") for part in parts)
+        begin, end = (parse_iso_time(part.strip()) for part in parts)
     except InputError as error:
         raise TimeError(f"want FROM/UNTIL: {error.message}") from error
     if not begin < end:

@@ -118,3 +118,10 @@ def test_of_several_stretches_the_longest_come_first_and_none_twice() -> None:
     found = rejected_stretches(seconds(5000), is_rejected)
     assert [one.samples for one in found] == [400, 250, 100]
     assert all(one.samples == one.rejected for one in found)
+
+
+def test_a_span_may_reach_beyond_what_nanoseconds_can_count() -> None:
+    begin, end = parse_span("0001-01-01T00:00:00Z/9999-12-31T23:59:59Z")
+    assert (begin, end) == (np.datetime64(-(2**63 - 1), "ns"), np.datetime64(2**63 - 1, "ns"))
+    with pytest.raises(OptionError):
+        parse_span("9998-01-01T00:00:00Z/9999-01-01T00:00:00Z")

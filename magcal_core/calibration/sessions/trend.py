@@ -37,7 +37,7 @@ from magcal_core.calibration.sessions.trend_sets import Chosen, DatedSet, HasRec
 from magcal_core.calibration.sessions.trend_states import NAMES, NS_A_YEAR, Smoothed, TrendStates
 from magcal_core.errors import BeyondHistoryError, InputError, OptionError, TimeError
 from magcal_core.sensor.parameters import GROUPS, Parameters
-from magcal_core.telemetry.iso_times import parse_iso_ns
+from magcal_core.telemetry.iso_times import parse_iso_time
 from magcal_core.units import utc_text
 
 Moment = str | datetime | np.datetime64
@@ -342,7 +342,7 @@ def _history(sets: tuple[DatedSet, ...]) -> tuple[History, Floats, Floats]:
 def _moment(value: Moment | Times) -> np.datetime64:
     """Return a time, ns UTC, from ISO 8601 text with a zone, an aware datetime or a datetime64 in UTC."""
     if isinstance(value, str):
-        return np.datetime64(parse_iso_ns(value), "ns")
+        return parse_iso_time(value)
     if isinstance(value, datetime):
         if value.tzinfo is None:
             raise TimeError("at: the time has no zone")

@@ -16,7 +16,7 @@ def root(service):
 def test_the_service_is_alive_and_ready(root):
     assert root.get("/healthz").json() == {"status": "ok"}
     ready = root.get("/readyz")
-    parts = ("status", "database", "store", "queue", "disk", "sources")
+    parts = ("status", "database", "store", "queue", "disk", "kernels", "sources")
     assert (ready.status_code, ready.json()) == (200, dict.fromkeys(parts, "ok"))
 
 

@@ -7,9 +7,9 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
-from structlog.testing import capture_logs
 
 from app.jobs import kernels
 from app.jobs.kernels import Kernels
@@ -47,19 +47,18 @@ def compiler(tmp_path, monkeypatch) -> Callable[[int], Path]:
 
 
 @pytest.mark.parametrize("status", [0, 1])
-def test_calculations_begin_when_the_compiler_is_through(compiler, status):
+def test_calculations_begin_when_the_compiler_is_through(compiler, status, monkeypatch):
     go, own, stopping = compiler(status), Kernels(), threading.Event()
-    with capture_logs() as logs:
-        own.prepare()
-        until(lambda: own.preparing == (2, 7))
-        go.touch()
-        assert own.wait(stopping)
-        assert own.preparing is None
-        own.stop()
-    warned = [one for one in logs if one["log_level"] == "warning"]
-    assert [(one["event"], one["status"], one["why"]) for one in warned] == (
-        [("kernels_not_compiled", 1, "no room left")] if status else []
-    )
+    warned: list[tuple[str, dict[str, object]]] = []
+    told = SimpleNamespace(info=lambda *_: None, warning=lambda event, **more: warned.append((event, more)))
+    monkeypatch.setattr(kernels, "log", told)
+    own.prepare()
+    until(lambda: own.preparing == (2, 7))
+    go.touch()
+    assert own.wait(stopping)
+    assert own.preparing is None
+    own.stop()
+    assert warned == ([("kernels_not_compiled", {"status": 1, "why": "no room left"})] if status else [])
 
 
 def test_workers_that_are_to_stop_do_not_wait_for_the_compiler(compiler):

@@ -91,7 +91,15 @@ def test_an_empty_mount_point_under_a_running_service_takes_nothing(outside):
     assert (answer.status_code, answer.json()["code"]) == (503, "unavailable")
     assert readiness(service) == (
         503,
-        {"status": "failing", "database": "ok", "store": "failing", "queue": "ok", "disk": "ok", "sources": "ok"},
+        {
+            "status": "failing",
+            "database": "ok",
+            "store": "failing",
+            "queue": "ok",
+            "disk": "ok",
+            "kernels": "ok",
+            "sources": "ok",
+        },
     )
     assert list(folder.rglob("*")) == []
     folder.rmdir()
@@ -186,7 +194,15 @@ def test_a_damaged_database_file_is_not_ready(new_service):
             file.write(os.urandom(4096))
     assert readiness(service) == (
         503,
-        {"status": "failing", "database": "failing", "store": "ok", "queue": "ok", "disk": "ok", "sources": "ok"},
+        {
+            "status": "failing",
+            "database": "failing",
+            "store": "ok",
+            "queue": "ok",
+            "disk": "ok",
+            "kernels": "ok",
+            "sources": "ok",
+        },
     )
 
 
