@@ -8,6 +8,7 @@ import httpx2
 import pytest
 from sqlalchemy import delete, func, select, update
 
+from app.access.key_tables import ApiKey
 from app.errors import ConflictError
 from app.maintenance.audit import audit
 from app.maintenance.copy_database import copy
@@ -124,4 +125,31 @@ def test_a_target_with_rows_is_refused(kept, tmp_path: Path):
         copy(kept[1], target)
     with target.read() as session:
         assert session.scalar(select(func.count()).select_from(Chunk)) == 2
+    target.close()
+
+
+@pytest.mark.postgres
+@pytest.mark.parametrize("name", ["n" * 300, "a\0b"], ids=["too long", "NUL"])
+def test_a_row_that_does_not_fit_is_named_and_the_rest_is_copied_on_request(kept, postgres_url, tmp_path, name):
+    """SQLite keeps what PostgreSQL does not: such a row can only have come from elsewhere than the service."""
+    api, source, _, _ = kept
+    key_id = api.post("/keys", json={"scopes": ["read"]}).raise_for_status().json()["id"]
+    with source.write() as session:
+        session.execute(update(ApiKey).where(ApiKey.id == key_id).values(name=name))
+    settings = Settings(data_dir=tmp_path / "there", database_url=postgres_url)
+    target = Database(settings)
+    upgrade(target, settings)
+    with pytest.raises(ConflictError, match=rf"api_key \(id='{key_id}'\).*--skip"):
+        copy(source, target)
+    with target.read() as session:
+        assert session.scalar(select(func.count()).select_from(Chunk)) == 0
+    copied = copy(source, target, may_skip=True)
+    assert len(copied.skipped) == 1
+    assert copied.skipped[0].startswith(f"api_key (id='{key_id}'): ")
+    with source.read() as old, target.read() as new:
+        for table in Base.metadata.sorted_tables:
+            count = select(func.count()).select_from(table)
+            left_out = int(table.name == "api_key")
+            assert new.scalar(count) == old.scalar(count) - left_out == copied.counts[table.name], table.name
+    assert codes(target) == []
     target.close()
