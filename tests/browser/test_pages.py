@@ -148,6 +148,20 @@ def test_a_table_sorts_filters_and_saves_what_it_shows(window: Watched, addresse
     assert [row["method"] for row in saved] == ["scalar-hooke-jeeves"]
 
 
+def test_a_cell_that_a_spreadsheet_would_run_is_harmless_in_the_file(window: Watched, service: Service) -> None:
+    names = ["=1+1", "@sum", "+cmd|'x'!A1", "-2+3"]
+    with service.client() as client:
+        for name in names:
+            client.post("/keys", json={"scopes": ["read"], "name": name}).raise_for_status()
+    page = window.open("/keys")
+    region = page.get_by_role("region", name="Keys", exact=True)
+    expect(region.get_by_text(names[0], exact=True)).to_be_visible()
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Save Keys as CSV").click()
+    saved = list(csv.DictReader(io.StringIO(Path(download.value.path()).read_text())))
+    assert {f"'{name}" for name in names} <= {row["name"] for row in saved}
+
+
 @pytest.mark.parametrize("name", PAGES)
 def test_every_table_sorts_filters_and_exports(name: str, window: Watched, addresses: dict[str, str]) -> None:
     """Tables of facts, a name and a value a row, are no tables of data."""

@@ -57,7 +57,7 @@ export function table(columns, rows, { caption, file = "table", empty = "Nothing
 
   function save() {
     // A cell that a spreadsheet would run as a formula gets a quote in front, as the API's tables have it.
-    const harmless = (value) => (/^[=+\-@\t\r]/.test(value) && !/^[+-]?(\d|\.\d)[\d.,eE+-]*$/.test(value) ? `'${value}` : value);
+    const harmless = (value) => (/^[=+\-@\t\r]/.test(value) && !/^[+-]?(\d[\d,]*\.?\d*|\.\d+)([eE][+-]?\d+)?$/.test(value) ? `'${value}` : value);
     const cell = (value) => ((found) => (/[",\r\n\t]/.test(found) ? `"${found.replaceAll('"', '""')}"` : found))(harmless(String(value ?? "")));
     const lines = [columns.map((column) => cell(column.name)), ...found().map((row) => columns.map((column) => cell(text(column, row))))];
     const blob = new Blob([lines.map((line) => line.join(",")).join("\r\n") + "\r\n"], { type: "text/csv" });
