@@ -173,7 +173,7 @@ def test_the_slow_pass_reads_the_same_as_the_fast_one() -> None:
 
 
 finite = st.floats(allow_nan=False, allow_infinity=False, min_value=-70_000, max_value=70_000).filter(
-    lambda v: v not in FILL_VALUES
+    lambda v: round(v, 4) not in FILL_VALUES  # as the screen takes them
 )
 
 
