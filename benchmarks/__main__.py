@@ -11,6 +11,7 @@ begun after ``MAGCAL_BENCH_MINUTES`` (default 30 min; three hours for studies).
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import importlib
 import json
@@ -108,16 +109,21 @@ def run(names: Sequence[str]) -> list[str]:
 
 def main() -> None:
     """Do what the command line says."""
-    arguments = sys.argv[1:]
-    if arguments[:1] == [FIGURES_OF]:
-        tell(arguments[1])
+    known = rooms()
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("room", nargs="*", choices=[*known, []], metavar="ROOM", help=", ".join(known))
+    parser.add_argument(STUDIES, action="store_true", help="every study, where no room is named")
+    parser.add_argument(WRITE_DOCS, action="store_true", help="measure nothing, write the latest figures into the docs")
+    parser.add_argument(FIGURES_OF, choices=known, metavar="ROOM", help="measure one room here, print lines of JSON")
+    asked = parser.parse_args()
+    if asked.figures_of:
+        tell(asked.figures_of)
         return
-    if arguments == [WRITE_DOCS]:
+    if asked.write_docs:
         write_page()
         return
-    if not arguments or arguments == [STUDIES]:
-        arguments = [name for name, is_study in rooms().items() if is_study is bool(arguments)]
-    failed = run(arguments)
+    failed = run(asked.room or [name for name, is_study in known.items() if is_study is asked.studies])
     for line in failed:
         print(f"FAILED {line}")
     sys.exit(1 if failed else 0)

@@ -134,13 +134,13 @@ def _against_models(folder: Path) -> Figure:
     def models() -> object:
         with database.read() as session:
             sets = ParameterSetRepository(session, SYSTEM)
-            rows, cursor = sets.page(query)
-            return Page[ParameterSetRead](items=sets.read(rows), next=cursor).model_dump_json()
+            rows, cursor, total = sets.page(query)
+            return Page[ParameterSetRead](items=sets.read(rows), next=cursor, total=total).model_dump_json()
 
     def texts() -> object:
         with database.engine.connect() as connection:
             wanted = listed(connection, SYSTEM, query)
-            return part(Texts().of(connection, wanted.sets), wanted.cursor)
+            return part(Texts().of(connection, wanted.sets), wanted)
 
     took = interleaved_s({"models": models, "texts": texts}, rounds=5)
     database.close()

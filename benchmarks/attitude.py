@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -24,10 +24,22 @@ from magcal_core.sensor.model import SensorModel
 FIGURE_1 = (110.0, -130.0, 170.0)
 FIGURE_2 = (170.0, 80.0, 110.0)
 STEADY = {"start": (10.0, 10.0, 10.0), "duration_s": 40_000.0, "dt_s": 2.0}
-TABLE_1 = SensorModel([2928.125, -1191.25, -1875.625], [1.032695, 1.006685, 1.032875], [-4.53, -1.067, 7.915])
-TABLE_2 = SensorModel([2807.5, -2056.25, -2070.625], [1.024175, 0.988788, 1.026907], [-4.22, -2.133, 8.504])
-RESIDUAL = SensorModel([20.0, -20.0, 20.0], [1.001, 0.999, 1.0], [0.05, -0.05, 0.05])
-PERFECT = SensorModel([0.0] * 3, [1.0] * 3, [0.0] * 3)
+
+
+def _sensor(*values: Sequence[float]) -> SensorModel:
+    return SensorModel(*map(np.array, values))
+
+
+TABLE_1 = SensorModel(
+    np.array([2928.125, -1191.25, -1875.625]),
+    np.array([1.032695, 1.006685, 1.032875]),
+    np.array([-4.53, -1.067, 7.915]),
+)
+TABLE_2 = SensorModel(
+    np.array([2807.5, -2056.25, -2070.625]), np.array([1.024175, 0.988788, 1.026907]), np.array([-4.22, -2.133, 8.504])
+)
+RESIDUAL = _sensor([20.0, -20.0, 20.0], [1.001, 0.999, 1.0], [0.05, -0.05, 0.05])
+PERFECT = _sensor([0.0] * 3, [1.0] * 3, [0.0] * 3)
 DEKART_EPOCH = "2022-04-07T21:42:49Z"
 """Second session of DEKART: the Earth as it stood then. The source of the polar figures does not say where it was."""
 FLOQUET_S = {

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import TypeAlias
 
 import numpy as np
 
@@ -26,7 +27,10 @@ FINE = {"noise_position_m": 0.01, "noise_velocity_m_s": 1e-4, "seed": 1}
 COARSE = {"noise_position_m": 1.0, "noise_velocity_m_s": 1e-3, "seed": 1}
 FORCES = {"third_bodies": True, "tide": True, "drag_density_kg_m3": 1.15e-12, "drag_area_over_mass_m2_kg": 0.002}
 
-CONSERVATION = (
+Changes: TypeAlias = Mapping[str, object]
+State: TypeAlias = tuple[np.ndarray, np.ndarray]
+
+CONSERVATION: tuple[tuple[str, Changes, str, float | None], ...] = (
     ("ideal Earth, std of H", {"third_bodies": False, "rotation": "uniform"}, "std", 8e-6),
     ("real frames, std of H", {"third_bodies": False}, "std", 0.019),
     ("real frames, rotation's change taken along, std", {"third_bodies": False}, "frame", None),
@@ -35,7 +39,7 @@ CONSERVATION = (
     ("Sun and Moon, static potential, peak to peak", {"form": "static-tide"}, "p2p", 8.6),
     ("printed (9), peak to peak", {"third_bodies": False, "form": "printed"}, "p2p", 1.26e5),
 )
-RECOVERY = (
+RECOVERY: tuple[tuple[str, State, Changes, float | None], ...] = (
     ("255 km, noise-free", GOCE, {}, 6e-15),
     ("255 km, noise-free, real frames", GOCE, {"rotation": "iers"}, None),
     ("255 km, Sun, Moon, k2, drag, exact", GOCE, FORCES, 7e-15),
@@ -57,7 +61,7 @@ RECOVERY = (
 )
 
 
-def _balance(state: tuple[np.ndarray, np.ndarray], changes: dict[str, object]) -> EnergyBalance:
+def _balance(state: State, changes: Changes) -> EnergyBalance:
     options = EnergyOptions.from_dict({"duration_s": 86400.0, "step_s": 30.0, **changes})
     return energy_balance(integrated(EPOCH, *state, options), options)
 

@@ -10,8 +10,8 @@ import importlib
 import os
 import time
 import warnings
-from collections.abc import Callable, Iterator
-from functools import cache
+from collections.abc import Iterator
+from functools import cache, partial
 from pathlib import Path
 from typing import Final
 
@@ -70,8 +70,10 @@ def speed() -> Iterator[Figure]:
     os.sched_setaffinity(0, {min(cores)})
     try:
         for name, model in models.items():
-            run: Callable[[], object] = lambda model=model: model.field_itrf_nt(t_utc, places)  # noqa: E731
-            candidates = {"plain": lambda: plain.field_itrf_nt(t_utc, places), "other": run}
+            candidates = {
+                "plain": partial(plain.field_itrf_nt, t_utc, places),
+                "other": partial(model.field_itrf_nt, t_utc, places),
+            }
             spent = interleaved_s(candidates, rounds=15, clock=time.process_time)
             ratio, most = spent["other"] / spent["plain"], aims[name]
             yield Figure("external", f"time of {name} / igrf-14, one core", ratio, "x", f"<= {most:g}", ratio <= most)

@@ -66,17 +66,20 @@ def outcome(flown: Flown, kind: str, share: float, method: str, seed: int) -> Ou
         found = calibrate(flown.sent(samples, is_vector=is_vector), [flown.orbit], method=method)
     except MagcalError as error:
         return Outcome(np.inf, f"{error.code}: {error.message}"[:90], 0.0, 0.0) if _is_good(flown, method) else None
-    error = worst_error(found, flown, is_vector=is_vector)
-    if (error > WITHIN or found.verdict.grade == "refuse") and not _is_good(flown, method):
+    off = worst_error(found, flown, is_vector=is_vector)
+    if (off > WITHIN or found.verdict.grade == "refuse") and not _is_good(flown, method):
         return None
     x = (samples.h_nt - flown.sensor.bias_nt) @ flown.sensor.correction_matrix.T
     length_nt = np.abs(np.linalg.norm(x, axis=1) - samples.b_ref_magnitude_nt)
-    off_nt = np.linalg.norm(x - samples.b_ref_base_nt, axis=1) if is_vector else length_nt
+    off_nt = length_nt
+    if is_vector:
+        assert samples.b_ref_base_nt is not None
+        off_nt = np.linalg.norm(x - samples.b_ref_base_nt, axis=1)
     # A loss sees a row only where it is far from what it should be; a screen sees all of its kinds.
     seen = is_bad & (off_nt > FAR * 1.2 * flown.noise_nt)
     weight = found.residuals.weight
     out = float(np.mean(weight[seen] == 0)) if seen.any() else 1.0
-    return Outcome(error, found.verdict.grade, out, float(np.mean(weight[~is_bad] == 0)))
+    return Outcome(off, found.verdict.grade, out, float(np.mean(weight[~is_bad] == 0)))
 
 
 def _is_good(flown: Flown, method: str) -> bool:

@@ -137,12 +137,15 @@ def _looks(running: Service, count: int) -> Iterator[tuple[str, Cost]]:
         time_utc = EPOCH + SPAN * (1 + turn * 7919 % (count - 1)) + timedelta(seconds=30)
         return request_of("GET", f"{sets}?{where}&at={time_utc:%Y-%m-%dT%H:%M:%SZ}", running.key)
 
+    def newest_jobs(_turn: int) -> bytes:
+        return request_of("GET", "/jobs?state=succeeded&limit=50", running.key)
+
     asked = {
         "newest 50 sets": another(f"{sets}?{where}"),
         "50 sets from the middle by cursor": another(f"{sets}?{where}&cursor={_cursor(count)}"),
         "set in force at a time": at,
         "newest 50 sessions": another(f"/sessions?{where}"),
-        "newest 50 jobs of a state": lambda _turn: request_of("GET", "/jobs?state=succeeded&limit=50", running.key),
+        "newest 50 jobs of a state": newest_jobs,
     }
     for what, request in asked.items():
         durations, cpu_s = [], running.process.cpu_s()

@@ -55,7 +55,7 @@ def _bare_parquet(body: bytes) -> object:
 
 
 def _pandas_csv(body: bytes) -> object:
-    import pandas as pd  # type: ignore[import-untyped]
+    import pandas as pd
 
     return pd.read_csv(io.BytesIO(body), parse_dates=["time"])
 

@@ -25,7 +25,7 @@ FEW = 20
 FEW_S = 0.15
 GROWTH = 1.5
 _START = np.datetime64("2022-01-01", "ns")
-_SENSOR = SensorModel([2000.0, -1500.0, 800.0], [1.02, 0.97, 1.01], [1.0, -2.0, 1.5])
+_SENSOR = SensorModel(np.array([2000.0, -1500.0, 800.0]), np.array([1.02, 0.97, 1.01]), np.array([1.0, -2.0, 1.5]))
 _SIMULATED = 40
 
 

@@ -51,7 +51,7 @@ def _histories(name: str, made: Callable[[int], Simulated]) -> Iterator[Figure]:
         now = found.at(one.at)
         values = np.array([nine(each["parameters"]) for each in one.sets])
         times = np.array([each.time_ns for each in found.chosen.every], np.float64) / 3.15576e16
-        at = float(np.datetime64(one.at, "ns").astype(np.int64)) / 3.15576e16
+        at = float(one.at.astype("datetime64[ns]").astype(np.int64)) / 3.15576e16
         guesses = {"trend": now.parameters, "last set": values[-1], "mean": values.mean(axis=0)}
         guesses["line"] = np.array([np.polyval(np.polyfit(times - at, column, 1), 0.0) for column in values.T])
         for rule, guess in guesses.items():
@@ -102,8 +102,8 @@ def _sessions(method: str) -> Iterator[Figure]:
     for name, memory_s in kinds.items():
         false = 0
         for seed in range(COUNT):
-            moved = None if memory_s == 0.0 else memory_nt(seed, session(seed), 100.0, memory_s)
-            moments = calibrate(session(seed, moved), method=method, bias_steps="none", with_moments=True).moments
+            memory = None if memory_s == 0.0 else memory_nt(seed, session(seed), 100.0, memory_s)
+            moments = calibrate(session(seed, memory), method=method, bias_steps="none", with_moments=True).moments
             false += moments is not None and bool(bias_steps(moments).items)
         yield _figure(
             f"{method}, 3 h, {name}: false steps", 100 * false / COUNT, "%", "<= 2", is_met=false <= 0.02 * COUNT

@@ -80,7 +80,7 @@ def figures() -> Iterator[Figure]:
 def service_over(root: Path) -> Iterator[tuple[str, str]]:
     """Yield address and first key of a service over the folder ``root``; it may be opened anew over the same."""
     environment = os.environ | {"MAGCAL_DATA_DIR": str(root / "data")}
-    command = [Path(sys.executable).with_name("magcal"), "serve", "--port", "0", "--workers", "1"]
+    command = [str(Path(sys.executable).with_name("magcal")), "serve", "--port", "0", "--workers", "1"]
     with (root / "out").open("a") as out, (root / "log").open("w") as log:
         process = subprocess.Popen(command, stdout=out, stderr=log, env=environment, cwd=root)
     try:
@@ -130,9 +130,9 @@ def _multiply(database: Path) -> None:
         found = dict(connection.execute("SELECT * FROM parameter_set").fetchone())
         job = dict(connection.execute("SELECT * FROM job").fetchone())
         record = json.loads(found["record"])
-        start = np.datetime64(record["data_from"].rstrip("Z"))
+        start = np.array(record["data_from"].rstrip("Z"), "M8[us]")
         for number in range(1, SETS):
-            begin = np.datetime_as_string(start - np.timedelta64(number, "D"), unit="us")
+            begin = str(start - np.array(number, "m8[D]"))
             record["data_from"], record["data_until"] = f"{begin}Z", f"{begin}Z"
             record["parameters"]["bias_nt"] = (np.array([2928.0, -1191.0, -1876.0]) + rng.normal(0, 8, 3)).tolist()
             job_id = f"{number:032x}"

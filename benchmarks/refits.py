@@ -31,10 +31,12 @@ from magcal_core.calibration.refit.outcome import RefitOptions
 from magcal_core.calibration.refit.refit import refit
 from magcal_core.calibration.sessions.monitoring import ActiveSet, judge_moments, judge_session, moments_of
 from magcal_core.calibration.terms.clock import fit_with_clock
+from magcal_core.calibration.terms.regressor_evidence import SmoothBias
 from magcal_core.calibration.terms.regressor_selection import choose_regressors
 from magcal_core.calibration.uncertainty.bootstrap import bootstrap
 from magcal_core.calibration.uncertainty.cross_validation import held_out_residuals_nt
 from magcal_core.calibration.uncertainty.reweighted_blocks import steps_of
+from magcal_core.estimation.session import LockedSession
 from magcal_core.observations import Observations
 from magcal_core.options import CalibrationOptions
 from magcal_core.pipeline import calibrate
@@ -108,6 +110,8 @@ class Session:
         active = ActiveSet(near.parameters, near.covariance, near.sigma_nt, is_vector=False)
         kept = moments_of(o, near.parameters, is_vector=False)
         block = max(BLOCK, BLOCK * len(o) // 700)
+        locked = LockedSession(self.referenced, self.usable, is_vector=False)
+        smooth = SmoothBias(locked.columns(o, near), seed=1)
         columns = self.referenced.observations(self.usable, tuple(self.samples.housekeeping))
 
         def at(shift_s: NDArray[np.float64], rows: slice) -> Observations:
@@ -118,7 +122,7 @@ class Session:
             "refit": partial(scalar.refit, o, settings, self.half),
             "blocks": partial(held_out_residuals_nt, scalar, o, settings, near),
             "bootstrap": partial(bootstrap, scalar, o, settings, near, block, REPLICATES, 1),
-            "regressors": partial(choose_regressors, scalar, columns, settings),
+            "regressors": partial(choose_regressors, scalar, columns, settings, smooth),
             "clock": partial(fit_with_clock, scalar, at, o, settings, has_drift=False),
             "reference": partial(self.referenced.shifted, self.usable, (), np.zeros(len(o))),
             "monitor": partial(judge_session, o, active),

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Final
 
 NOTED: Final = Path(__file__).with_name("slow_tests.txt")
-ONE_S: Final = 0.3
+ONE_S: Final = 0.25
 """The longest that a quick test takes, with the fixtures that it is the first to ask for."""
-ALL_S: Final = 1.0
+ALL_S: Final = 0.8
 """The longest that all cases of a quick test take together."""
 
 
