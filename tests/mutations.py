@@ -128,7 +128,7 @@ FAULTS: Final[dict[str, Fault]] = {
     # ---------------------------------------------------------------------------------------------- the covariance
     "white-alone": Fault(
         f"{UNCERTAINTY}/honest_covariance.py",
-        "np.maximum(variances * (student_95(frequencies) / 1.96) ** 2, np.diag(formal))", "np.diag(formal)",
+        "np.maximum(variances * (student_95(frequencies) / 1.96) ** 2, formal)", "formal",
         (f"{CORE_TESTS}/uncertainty/test_honest_covariance.py",),
     ),
     "taken-by-the-fit": Fault(

@@ -46,10 +46,13 @@ class Minimum:
     is_converged: bool
 
 
-def minimise(evaluate: Evaluate, theta: Floats, floor: float, limit: int = MAX_EVALUATIONS) -> Minimum:
+def minimise(
+    evaluate: Evaluate, theta: Floats, floor: float, limit: int = MAX_EVALUATIONS, still: float = 0.0
+) -> Minimum:
     """Return the minimum of a sum of squares that is reached from ``theta``.
 
-    ``floor`` is the length of the vector of observations: what is below its rounding is taken for zero.
+    ``floor`` is the length of the vector of observations: what is below its rounding is taken for zero. ``still``: a
+    step that lowers the cost by no more than this share of it is the last one.
     """
     p = theta.size
     normal, gradient = np.empty((p, p)), np.empty(p)
@@ -69,9 +72,13 @@ def minimise(evaluate: Evaluate, theta: Floats, floor: float, limit: int = MAX_E
                 is_converged = True
                 break
         if found == ACCEPTED:
+            is_converged = cost - trial_cost <= still * cost
+            is_converged = 0.0 < still and cost - trial_cost <= still * cost
             theta, trial, cost = trial, theta, trial_cost
             normal, trial_normal = trial_normal, normal
             gradient, trial_gradient = trial_gradient, gradient
+            if is_converged:
+                break
         elif not damp_more(search):
             break
     return Minimum(theta, cost, normal, gradient, evaluations, is_converged)

@@ -21,6 +21,7 @@ from magcal_core.arrays import Floats
 from magcal_core.attitude.rotation import attitude_matrix, from_rotation_vector
 from magcal_core.calibration.uncertainty.honest_covariance import student_95
 from magcal_core.numerics.kernel import kernel
+from magcal_core.numerics.levenberg_marquardt import minimise
 from magcal_core.numerics.linear_algebra import unit_diagonal
 
 Ints = NDArray[np.intp]
@@ -143,43 +144,35 @@ class _Windows:
         r = self.residuals(rotation, bias)
         return float(np.sum(r**2)) / max(int(np.count_nonzero(self.session.weights > 0)), 1)
 
-    def derivatives(self, rotation: Floats, bias: Floats, window_s: float) -> Floats:
-        """Return the derivative of the residuals by a turn of R, rad, and by the bias, rad/s, shape (6, n, 3)."""
+    def derivatives(self, start: Floats, unknowns: Floats, window_s: float) -> tuple[Floats, Floats]:
+        """Return the residuals, shape (n, 3), and their derivatives by the unknowns, shape (6, n, 3).
+
+        ``unknowns``: the turn of R from ``start``, rad, and the bias, rad/s.
+        """
+        turn, bias = unknowns[:3], unknowns[3:]
         turned, found = self.turns(bias), []
+        rotation = _turned(start, turn)
         here = self.seen(turned, rotation)
         for axis in np.eye(3):
-            found.append((self.seen(turned, _turned(rotation, _SMALL_RAD * axis)) - here) / _SMALL_RAD)
+            found.append((self.seen(turned, _turned(start, turn + _SMALL_RAD * axis)) - here) / _SMALL_RAD)
         step = _SMALL_RAD / window_s
         for axis in np.eye(3):
             found.append((self.residuals(rotation, bias + step * axis) - here) / step)
-        return np.array(found)
+        return here, np.array(found)
 
     def refined(self, start: _State, window_s: float, rounds: int = _ROUNDS) -> _State:
         """Return the minimum near ``start``, by Levenberg-Marquardt."""
-        rotation, bias, cost = start.rotation, start.bias, self.cost(start.rotation, start.bias)
-        damping = 1e-3
-        for _ in range(rounds):
-            r = self.residuals(rotation, bias).ravel()
-            j = self.derivatives(rotation, bias, window_s).reshape(6, -1)
-            normal, gradient = j @ j.T, j @ r
-            size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-            is_better = False
-            while damping < 1e6:
-                scaled = normal / np.outer(size, size) + damping * np.eye(6)
-                step = -np.linalg.solve(scaled, gradient / size) / size
-                trial = _turned(rotation, step[:3]), bias + step[3:]
-                trial_cost = self.cost(*trial)
-                is_better = trial_cost < cost
-                if is_better:
-                    break
-                damping *= 10.0
-            if not is_better:
-                break
-            gain = cost - trial_cost
-            rotation, bias, cost, damping = *trial, trial_cost, damping / 10.0
-            if gain <= _STILL * cost:
-                break
-        return _State(rotation, bias, cost)
+
+        def evaluate(unknowns: Floats, normal: Floats, gradient: Floats) -> float:
+            r, j = self.derivatives(start.rotation, unknowns, window_s)
+            columns = j.reshape(6, -1)
+            normal[:], gradient[:] = columns @ columns.T, columns @ r.ravel()
+            return float(np.sum(r**2))
+
+        begin = np.concatenate([np.zeros(3), start.bias])
+        found = minimise(evaluate, begin, np.sqrt(len(self.session.t_s)), limit=rounds + 1, still=_STILL)
+        count = max(int(np.count_nonzero(self.session.weights > 0)), 1)
+        return _State(_turned(start.rotation, found.theta[:3]), found.theta[3:], found.cost / count)
 
 
 def _turned(rotation: Floats, vector_rad: Floats) -> Floats:
@@ -375,7 +368,7 @@ def _errors(windows: _Windows, state: _State, window_s: float) -> Floats:
     Windows are left out one by one, shift = (N - N_w)^-1 g_w, covariance (W - 1) / W times their sum of squares, never
     below the formal one, with Student's t of W - 1 contained.
     """
-    r, j = windows.residuals(state.rotation, state.bias), windows.derivatives(state.rotation, state.bias, window_s)
+    r, j = windows.derivatives(state.rotation, np.concatenate([np.zeros(3), state.bias]), window_s)
     edges = [*windows.firsts.tolist(), len(r)]
     parts = [slice(a, b) for a, b in pairwise(edges)]
     normals = np.stack([np.einsum("pni,qni->pq", j[:, part], j[:, part]) for part in parts])
