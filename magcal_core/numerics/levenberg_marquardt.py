@@ -72,8 +72,7 @@ def minimise(
                 is_converged = True
                 break
         if found == ACCEPTED:
-            is_converged = cost - trial_cost <= still * cost
-            is_converged = 0.0 < still and cost - trial_cost <= still * cost
+            is_converged = still > 0.0 and cost - trial_cost <= still * cost
             theta, trial, cost = trial, theta, trial_cost
             normal, trial_normal = trial_normal, normal
             gradient, trial_gradient = trial_gradient, gradient
