@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-import shutil
 import sys
-import tempfile
 from pathlib import Path
 from typing import Final
 
@@ -22,6 +20,9 @@ def bring_kernels(built: Path = BUILT) -> int:
     folder = os.environ.get("NUMBA_CACHE_DIR")
     if not folder or not built.is_dir():
         return 0
+    import shutil
+    import tempfile
+
     brought = 0
     for source in sorted(built.rglob("*.nb[ic]")):
         target = Path(folder) / source.relative_to(built)

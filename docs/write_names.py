@@ -13,7 +13,7 @@ from app.aboard.reading import READERS as READ_BACK
 from app.jobs.kinds.registry import JOB_KINDS
 from app.parameter_sets.export_formats import EXPORTERS
 from magcal_core.calibration.estimators.registry import ESTIMATORS
-from magcal_core.field.external import EXTERNAL_KINDS
+from magcal_core.field.choices import EXTERNAL_KINDS
 from magcal_core.field.models import FIELD_MODELS, MAIN_FIELDS
 from magcal_core.sensor.conventions import CONVENTIONS
 from magcal_core.telemetry.formats import FORMATS
@@ -51,8 +51,8 @@ def _tables() -> Iterable[str]:
     rows = [
         (
             _code(name),
-            "yes" if one.read is not None else "no",
-            "yes" if one.write is not None else "no",
+            "yes" if one.is_read else "no",
+            "yes" if one.is_written else "no",
             " ".join(map(_code, one.suffixes_of(name))),
             _code(one.media_types_of(name)[0]),
         )

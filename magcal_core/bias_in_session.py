@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_core.calibration.estimators.registry import STEP_METHODS
+from magcal_core.calibration.estimators.registry import step_methods
 from magcal_core.calibration.observability.information import WEAK_BELOW, Observability
 from magcal_core.calibration.reasons import Reason, Verdict
 from magcal_core.calibration.refit.moments import FitMoments
@@ -40,8 +40,8 @@ def wants_moments(options: CalibrationOptions) -> bool:
     OptionError
         ``bias_steps`` is ``fit`` and the method takes no regressors or leaves no moments.
     """
-    if options.bias_steps == "fit" and options.method not in STEP_METHODS:
-        raise OptionError(f"bias_steps: {options.method} cannot fit steps; {' and '.join(STEP_METHODS)} can")
+    if options.bias_steps == "fit" and options.method not in step_methods():
+        raise OptionError(f"bias_steps: {options.method} cannot fit steps; {' and '.join(step_methods())} can")
     return options.bias_steps != "none"
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Final, TypedDict
 
 from magcal_core.errors import Fault, InputError, OptionError
-from magcal_core.field.gaps import INDEX_GAPS
+from magcal_core.field.choices import INDEX_GAPS
 
 ORBIT_MODELS: Final = ("sgp4", "numerical")
 TIME_OFFSETS: Final = ("auto", "none", "estimate")

@@ -1,10 +1,13 @@
 """Units of magnetic flux density and their factors to nT, and UTC as text; inside all is nT, km, s, rad."""
 
-from typing import Final
+from __future__ import annotations
 
-import numpy as np
+from typing import TYPE_CHECKING, Final
 
 from magcal_core.errors import UnitsError, UnitsMissingError
+
+if TYPE_CHECKING:
+    import numpy as np
 
 NT_PER_UNIT: Final[dict[str, float]] = {"nT": 1.0, "uT": 1e3, "mT": 1e6, "T": 1e9, "G": 1e5, "mG": 1e2}
 """nT in one of each unit that a magnetometer may report."""
@@ -41,4 +44,6 @@ def nt_per(unit: str | None, nt_per_count: float | None = None) -> float:
 
 def utc_text(t_utc: np.datetime64) -> str:
     """Return ``t_utc`` in ISO 8601 with ``Z`` and microseconds."""
+    import numpy as np
+
     return f"{np.datetime_as_string(t_utc, unit='us')}Z"

@@ -50,8 +50,8 @@ class ToyFit(ScalarFit):
         return replace(ScalarFit.fit(self, observations, settings), method=self.name)
 ''',
     "magcal_core/calibration/estimators/registry.py",
-    '        "scalar": ScalarFit(),\n',
-    '        "toy-fit": ToyFit(),\n',
+    '        "scalar": _scalar,\n',
+    '        "toy-fit": ToyFit,\n',
     "from magcal_core.calibration.estimators.toy import ToyFit\n",
 )
 FIELD = Addition(
@@ -75,7 +75,7 @@ class ToyField:
         return np.tile([1.0, 2.0, 3.0], (len(t_utc), 1))
 ''',
     "magcal_core/field/models.py",
-    '    "dipole": MainField(DirectDipole),\n',
+    '    "dipole": MainField(_dipole),\n',
     '    "toy-field": MainField(ToyField),\n',
     "from magcal_core.field.toy import ToyField\n",
 )
@@ -85,18 +85,20 @@ READER = Addition(
 """A toy: CSV behind a line that says so."""
 
 from magcal_core.telemetry.csv_table import read_csv
-from magcal_core.telemetry.table import TableFormat
+from magcal_core.telemetry.table_format import TableCode
 
 
 def _read(data, columns, *, max_rows, form):
     return read_csv(data.removeprefix(b"TOY\\n"), columns, max_rows=max_rows, form=form)
 
 
-FORMAT = TableFormat(read=_read, signature=b"TOY\\n")
+def load():
+    """Return the code."""
+    return TableCode(read=_read)
 ''',
     "magcal_core/telemetry/formats.py",
-    '    "csv": csv_table.FORMAT,\n',
-    '    "toy-read": toy_read.FORMAT,\n',
+    '        signature=b"PAR1",\n    ),\n',
+    '    "toy-read": TableFormat(toy_read.load, is_written=False, is_read_back=False, signature=b"TOY\\n"),\n',
     "from magcal_core.telemetry import toy_read\n",
 )
 WRITER = Addition(
@@ -104,13 +106,16 @@ WRITER = Addition(
     '''
 """A toy: how many rows there are."""
 
-from magcal_core.telemetry.table import TableFormat
+from magcal_core.telemetry.table_format import TableCode
 
-FORMAT = TableFormat(write=lambda table: b"%d rows" % table.num_rows)
+
+def load():
+    """Return the code."""
+    return TableCode(write=lambda table: b"%d rows" % table.num_rows)
 ''',
     "magcal_core/telemetry/formats.py",
-    '    "ndjson": ndjson.FORMAT,\n',
-    '    "toy-written": toy_written.FORMAT,\n',
+    '        signature=b"PAR1",\n    ),\n',
+    '    "toy-written": TableFormat(toy_written.load, is_read=False, is_read_back=False),\n',
     "from magcal_core.telemetry import toy_written\n",
 )
 EXPORT = Addition(

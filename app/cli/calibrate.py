@@ -9,7 +9,6 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -358,6 +357,10 @@ def _options(asked: Mapping[str, object]) -> CalibrationOptions:
 
 def parameter_set(calibration: Calibration, inputs: list[dict[str, object]]) -> dict[str, object]:
     """Return the parameter set of a calibration as the service has it, without the ids that only the service knows."""
+    from importlib.metadata import version
+
+    from app.records.json_numbers import without_nan
+
     record = calibration.to_dict()
     provenance = record["provenance"]
     software = {"name": "magcal-service", "version": version("magcal-service")}
@@ -365,8 +368,6 @@ def parameter_set(calibration: Calibration, inputs: list[dict[str, object]]) -> 
     record["provenance"] = {"software": software, "inputs": inputs} | (
         provenance if isinstance(provenance, dict) else {}
     )
-    from app.records.json_numbers import without_nan
-
     finite = without_nan(record)
     return finite if isinstance(finite, dict) else record
 

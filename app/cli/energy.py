@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def _forms() -> Collection[str]:
-    from magcal_core.energy.terms import FORMS
+    from magcal_core.energy.forms import FORMS
 
     return FORMS
 

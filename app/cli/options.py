@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 import click
 
 from magcal_core.errors import InputError, OptionError
-from magcal_core.field.gaps import INDEX_GAPS
+from magcal_core.field.choices import EXTERNAL_KINDS, INDEX_GAPS
 
 if TYPE_CHECKING:
     import numpy as np
@@ -125,7 +125,6 @@ class FieldModels(click.ParamType[str]):
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str | None:
         """Return the parts of a name as the help shows them."""
-        from magcal_core.field.external import EXTERNAL_KINDS
         from magcal_core.field.models import MAIN_FIELDS
 
         return f"{'|'.join(MAIN_FIELDS)}|file[+file][{'|'.join(f'+{kind}' for kind in EXTERNAL_KINDS)}]"

@@ -73,8 +73,8 @@ def _of_files(result: Path, residuals: Path | None) -> tuple[ParameterSetRecord,
     if residuals is None:
         return record, None
     form = format_of_name(residuals)
-    if form is None or FORMATS[form].arrow is None:
-        readable = {name: one for name, one in FORMATS.items() if one.arrow is not None}
+    if form is None or not FORMATS[form].is_read_back:
+        readable = {name: one for name, one in FORMATS.items() if one.is_read_back}
         raise click.BadParameter(f"want a file that ends in {suffixes_of(readable)}", param_hint="--residuals")
     return record, read_residuals(residuals.read_bytes(), form)
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final
+from typing import TYPE_CHECKING, Final
 from urllib.parse import urlsplit
 
-import httpx2
-
 from magcal_core.errors import MagcalError
+
+if TYPE_CHECKING:
+    import httpx2
 
 TIMEOUT_S: Final = 60.0
 MOST_BYTES: Final = 64 << 20
@@ -42,6 +43,8 @@ class SourceClient:
     """Asks the one host of ``base_url``; requests to any other are refused."""
 
     def __init__(self, base_url: str, headers: Mapping[str, str] | None = None) -> None:
+        import httpx2
+
         parts = urlsplit(base_url)
         if parts.scheme not in {"http", "https"} or not parts.hostname:
             raise SourceContentError("the address of a source must be an http or https URL")
@@ -75,6 +78,8 @@ class SourceClient:
         SourceAnswerError, SourceUnreachableError, SourceContentError
             The answer is none, not 200, or too long; or the URL is another host's.
         """
+        import httpx2
+
         parts = urlsplit(url)
         if (parts.scheme, parts.hostname, parts.port) != self._place:
             raise SourceContentError("the source sends us to another host, which the settings do not name")

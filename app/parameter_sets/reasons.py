@@ -11,7 +11,7 @@ from datetime import datetime, timedelta
 from typing import Final
 
 from app.http.schemas import day_text, utc_text
-from magcal_core.calibration.estimators.registry import STEP_METHODS, has_moments
+from magcal_core.calibration.estimators.registry import has_moments, step_methods
 
 Options = Mapping[str, object]
 Change = Mapping[str, object] | None
@@ -89,7 +89,7 @@ def _no_clock(subject: Subject) -> Change:
 
 def _steps(subject: Subject) -> Change:
     """Return steps of the bias as unknowns, for a method that can take them."""
-    return {"bias_steps": "fit"} if subject.options.get("method") in STEP_METHODS else None
+    return {"bias_steps": "fit"} if subject.options.get("method") in step_methods() else None
 
 
 def _regressors(subject: Subject) -> Change:

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from app.http.schemas import Body, OneOf
 from magcal_core.calibration.estimators.registry import ESTIMATORS
-from magcal_core.field.gaps import INDEX_GAPS
+from magcal_core.field.choices import INDEX_GAPS
 from magcal_core.field.models import FIELD_MODELS
 from magcal_core.options import (
     BIAS_STEPS,

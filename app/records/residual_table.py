@@ -61,11 +61,10 @@ def read_residuals(content: bytes, form: str) -> ResidualTable:
 
 
 def _table(content: bytes, form: str) -> pa.Table:
-    arrow = FORMATS[form].arrow if form in FORMATS else None
-    if arrow is None:
-        known = ", ".join(name for name, one in FORMATS.items() if one.arrow is not None)
+    if form not in FORMATS or not FORMATS[form].is_read_back:
+        known = ", ".join(name for name, one in FORMATS.items() if one.is_read_back)
         raise TelemetryFormatError(f"a residual table is one of {known}, not {form}")
-    return arrow(content)
+    return FORMATS[form].arrow(content)
 
 
 def _times(column: pa.ChunkedArray) -> Times:

@@ -8,16 +8,15 @@ from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-import numpy as np
-
 from magcal_core.errors import Fault, InputError
-from magcal_core.sensor.model import SensorModel
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
+    from magcal_core.sensor.model import SensorModel
+
 Triple: TypeAlias = tuple[float, float, float]
-Value: TypeAlias = float | int | bool | str | tuple[float, ...] | SensorModel | None
+Value: TypeAlias = "float | int | bool | str | tuple[float, ...] | SensorModel | None"
 
 CHOICES: Final[Mapping[str, tuple[str, ...]]] = {
     "form": ("corrected", "printed"),
@@ -73,6 +72,10 @@ def sensor_model(record: object) -> SensorModel:
     InputError
         These are not the parameters of a magnetometer.
     """
+    import numpy as np
+
+    from magcal_core.sensor.model import SensorModel
+
     if isinstance(record, SensorModel):
         return record
     inner = record.get("parameters", record) if isinstance(record, Mapping) else record

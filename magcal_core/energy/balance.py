@@ -9,9 +9,10 @@ from typing import Final
 import numpy as np
 
 from magcal_core.arrays import Floats, Times
+from magcal_core.energy.forms import hamiltonian_m2_s2
 from magcal_core.energy.options import EnergyOptions
 from magcal_core.energy.recovery import Recovery, recover
-from magcal_core.energy.terms import Track, balance_terms, hamiltonian_m2_s2
+from magcal_core.energy.terms import Track, balance_terms
 from magcal_core.errors import OrbitFormatError
 from magcal_core.orbit import Orbit
 from magcal_core.orbit.earth.bodies import default_ephemeris

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from math import isfinite
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from magcal_core.energy.terms import FORMS
+from magcal_core.constants import EGM96_MAX_DEGREE
+from magcal_core.energy.forms import FORMS
 from magcal_core.errors import Fault, OptionError
-from magcal_core.orbit.propagators.forces import RotationName
-from magcal_core.orbit.propagators.gravity import MAX_DEGREE
+
+if TYPE_CHECKING:
+    from magcal_core.orbit.propagators.forces import RotationName
 
 METHODS: Final = ("least-squares", "collocation", "semi-analytic")
 """Ways to recover coefficients."""
@@ -35,7 +37,7 @@ class EnergyOptions:
     orbit : str
         What becomes of a TLE: ``numerical``, integrated from its state at its epoch, or ``sgp4``, its own states.
     form : str
-        One of `magcal_core.energy.terms.FORMS`; ``corrected``, or ``printed`` as in the paper.
+        One of `magcal_core.energy.forms.FORMS`; ``corrected``, or ``printed`` as in the paper.
     recover : int, optional
         Degree up to which coefficients are recovered.
     method : str
@@ -127,18 +129,18 @@ def _is_flag(value: object) -> bool:
 
 
 def _is_recovery(value: object) -> bool:
-    return value is None or _whole(2, MAX_DEGREE)(value)
+    return value is None or _whole(2, EGM96_MAX_DEGREE)(value)
 
 
 _RULES: Final[Mapping[str, tuple[Callable[[object], bool], str]]] = {
     "duration_s": (_within(1e-3, MAX_DURATION_S), "must be a number of seconds, more than 0 and at most 366 days"),
     "step_s": (_within(1e-3, 86400.0), "must be a number of seconds from 0.001 to 86400"),
-    "degree": (_whole(0, MAX_DEGREE), f"must be a whole number from 0 to {MAX_DEGREE}"),
+    "degree": (_whole(0, EGM96_MAX_DEGREE), f"must be a whole number from 0 to {EGM96_MAX_DEGREE}"),
     "third_bodies": (_is_flag, "must be true or false"),
     "tide": (_is_flag, "must be true or false"),
     "orbit": (_one_of("numerical", "sgp4"), "must be numerical or sgp4"),
     "form": (_one_of(*FORMS), f"must be one of {', '.join(FORMS)}"),
-    "recover": (_is_recovery, f"must be a whole number from 2 to {MAX_DEGREE}"),
+    "recover": (_is_recovery, f"must be a whole number from 2 to {EGM96_MAX_DEGREE}"),
     "method": (_one_of(*METHODS), f"must be one of {', '.join(METHODS)}"),
     "noise_position_m": (_within(0.0, 1e6), "must be a number of metres from 0 to 1e6"),
     "noise_velocity_m_s": (_within(0.0, 1e4), "must be a number of m/s from 0 to 1e4"),

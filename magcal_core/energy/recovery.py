@@ -9,9 +9,10 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from magcal_core.arrays import Floats
+from magcal_core.energy.forms import FORMS
 from magcal_core.energy.options import EnergyOptions
 from magcal_core.energy.semi_analytic import semi_analytic_coefficients
-from magcal_core.energy.terms import FORMS, M2_PER_KM2, Series, Track, kinetic_m2_s2, rotation_m2_s2
+from magcal_core.energy.terms import M2_PER_KM2, Series, Track, kinetic_m2_s2, rotation_m2_s2
 from magcal_core.errors import NotObservableError, TooFewSamplesError
 from magcal_core.orbit.propagators.gravity import (
     GravityField,

@@ -1,8 +1,8 @@
-"""The terms of the energy balance along an orbit, each as a series in m2/s2, and the forms that combine them."""
+"""The terms of the energy balance along an orbit, each as a series in m2/s2."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Final
@@ -249,81 +249,16 @@ def static_tide(terms: Series) -> Floats:
     return np.asarray(sum(acting, np.zeros_like(terms["kinetic"])))
 
 
-def _corrected(track: Track, terms: Series) -> Floats:
-    return terms["kinetic"] + terms["rotation"] - terms["dissipation"] - terms["tidal_work"]
+def inertial_work_m2_s2(track: Track) -> Floats:
+    """Return the work of the non-gravitational acceleration against the inertial velocity, shape (n,), m2/s2."""
+    return work_m2_s2(track.t_s, _dot(track.a_km_s2, track.v_km_s))
 
 
-def _with_frame_rate(track: Track, terms: Series) -> Floats:
-    return _corrected(track, terms) + terms["frame_rate"]
-
-
-def _static(track: Track, terms: Series) -> Floats:
-    return terms["kinetic"] + terms["rotation"] - terms["dissipation"] - static_tide(terms)
-
-
-def _uncorrected(track: Track, terms: Series) -> Floats:
-    return terms["kinetic"] + terms["rotation"]
-
-
-def _wrong_sign(track: Track, terms: Series) -> Floats:
-    return terms["kinetic"] - terms["rotation"]
-
-
-def _no_rotation(track: Track, terms: Series) -> Floats:
-    return terms["kinetic"]
-
-
-def _about(track: Track, terms: Series, axis: Floats) -> Floats:
-    momentum = np.cross(track.r_km, track.v_km_s)
-    return terms["kinetic"] - EARTH_ROTATION_RAD_S * _dot(axis, momentum) * M2_PER_KM2
-
-
-def _about_itrf_z(track: Track, terms: Series) -> Floats:
-    return _about(track, terms, gcrf_to_itrf_matrices(track.t_s, track.tables)[:, 2, :])
-
-
-def _about_gcrf_z(track: Track, terms: Series) -> Floats:
-    return _about(track, terms, np.broadcast_to([0.0, 0.0, 1.0], track.r_km.shape))
-
-
-def _work_against_inertial_velocity(track: Track, terms: Series) -> Floats:
-    work = work_m2_s2(track.t_s, _dot(track.a_km_s2, track.v_km_s))
-    return _with_frame_rate(track, terms) + terms["dissipation"] - work
-
-
-def _printed(track: Track, terms: Series) -> Floats:
+def printed_m2_s2(track: Track) -> Floats:
+    """Return the paper's H + U with its signs, shape (n,), m2/s2: (9) with its dissipation and its (17), (18)."""
     r, v, w = track.r_km, track.v_km_s, EARTH_ROTATION_RAD_S
     braces = (v[:, 0] + w * r[:, 1]) ** 2 + (v[:, 1] - w * r[:, 0]) ** 2 + v[:, 2] ** 2
     again = w * (r[:, 0] * v[:, 1] - r[:, 1] * v[:, 0])
     bodies_km = sun_moon_positions_km(track.t_s, track.tables)
     tides = [printed_tide(r, bodies_km[:, k], gm) for k, gm in enumerate(BODIES.values())] if track.has_tide else []
-    work = work_m2_s2(track.t_s, _dot(track.a_km_s2, v))
-    return np.asarray((0.5 * braces - again) * M2_PER_KM2 + work + sum(tides, np.zeros(len(r))))
-
-
-FORMS: Final[Mapping[str, Callable[[Track, Series], Floats]]] = MappingProxyType(
-    {
-        "corrected": _corrected,
-        "frame-rate": _with_frame_rate,
-        "printed": _printed,
-        "static-tide": _static,
-        "no-correction": _uncorrected,
-        "rotation-wrong-sign": _wrong_sign,
-        "no-rotation": _no_rotation,
-        "rotation-about-itrf-z": _about_itrf_z,
-        "rotation-about-gcrf-z": _about_gcrf_z,
-        "dissipation-inertial": _work_against_inertial_velocity,
-    }
-)
-"""Form -> H + U along the track, m2/s2: ``corrected`` is the balance; the others show what each error costs."""
-
-
-def hamiltonian_m2_s2(track: Track, terms: Series, form: str = "corrected") -> Floats:
-    """Return H along ``track`` in one of `FORMS`, shape (n,), m2/s2.
-
-    Notes
-    -----
-    ``corrected``: H = v^2/2 - w.(r x v) - U - int a.(v - w x r) dt - E_tid with w along the pole (ENERGY). ``printed``:
-    the paper's (9), which counts the rotation twice, with its signs of the dissipation and its (17), (18).
-    """
-    return FORMS[form](track, terms) - terms["potential"]
+    return np.asarray((0.5 * braces - again) * M2_PER_KM2 + inertial_work_m2_s2(track) + sum(tides, np.zeros(len(r))))

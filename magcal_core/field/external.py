@@ -34,8 +34,6 @@ MEAN_EXTERNAL_NT: Final = -13.3
 """Mean of the external part of RC over 2015 to 2026, nT."""
 MAX_RADIUS_KM: Final = 2.0 * EARTH_RADIUS_MAGNETIC_KM
 """Beyond two Earth radii more than 6 nT of |B| would remain."""
-EXTERNAL_KINDS: Final = {"rc": "RC", "dst": "Dst", "mean": None}
-"""Suffix of a model's name -> the index that it needs."""
 _NO_CELLS: Final = np.full((1, 4), np.nan)
 _DAY_NS: Final = 48 * CELL_NS
 _SAMPLES_PER_THREAD: Final = 100_000
@@ -52,7 +50,7 @@ class ExternalField:
     index : HourlyIndex, optional
         None with ``mean``.
     gap : str
-        One of `GAPS`.
+        One of `INDEX_GAPS`.
     start_ns, step_ns, cells : int, int, shape (m, 4)
         The index as lines in cells of time (`HourlyIndex.cells`).
     """

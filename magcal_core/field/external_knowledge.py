@@ -19,8 +19,8 @@ import numpy as np
 
 from magcal_core.arrays import Floats, Mask, Nanoseconds
 from magcal_core.field import FieldModel
+from magcal_core.field.choices import EXTERNAL_KINDS
 from magcal_core.field.external import (
-    EXTERNAL_KINDS,
     GAIN,
     MEAN_EXTERNAL_NT,
     UNIFORM_NT,

@@ -1,4 +1,7 @@
-"""Field models by name: a main field, and what is added to it."""
+"""Field models by name: a main field, and what is added to it.
+
+Names are known without loading a model: what a model needs is loaded as it is made.
+"""
 
 from __future__ import annotations
 
@@ -6,19 +9,18 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final
-
-import numpy as np
+from typing import TYPE_CHECKING, Final
 
 from magcal_core.errors import ModelRangeError, OptionError
 from magcal_core.field import FieldModel
-from magcal_core.field.dipole import DirectDipole
-from magcal_core.field.external import EXTERNAL_KINDS, ExternalField
-from magcal_core.field.file_model import FileField
-from magcal_core.field.gaps import INDEX_GAPS
-from magcal_core.field.igrf import MAX_DEGREE, Igrf
-from magcal_core.field.sources import FieldFile, FieldSources, GivenIndices
-from magcal_core.field.summed import SummedField
+from magcal_core.field.choices import EXTERNAL_KINDS, INDEX_GAPS
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from magcal_core.field.external import ExternalField
+    from magcal_core.field.file_model import FileField
+    from magcal_core.field.sources import FieldFile, FieldSources, GivenIndices
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,11 +34,29 @@ class MainField:
     is_series: bool = False
 
 
+def _igrf() -> FieldModel:
+    from magcal_core.field.igrf import Igrf
+
+    return Igrf()
+
+
+def _igrf_13() -> FieldModel:
+    from magcal_core.field.igrf import Igrf
+
+    return Igrf(version=13)
+
+
+def _dipole() -> FieldModel:
+    from magcal_core.field.dipole import DirectDipole
+
+    return DirectDipole()
+
+
 MAIN_FIELDS: Final[Mapping[str, MainField]] = {
-    "igrf": MainField(Igrf, is_series=True),
-    "igrf-14": MainField(Igrf, is_series=True),
-    "igrf-13": MainField(lambda: Igrf(version=13), is_series=True),
-    "dipole": MainField(DirectDipole),
+    "igrf": MainField(_igrf, is_series=True),
+    "igrf-14": MainField(_igrf, is_series=True),
+    "igrf-13": MainField(_igrf_13, is_series=True),
+    "dipole": MainField(_dipole),
 }
 """Name -> the model at its full degree; ``igrf`` is the newest generation."""
 _MAIN: Final = "|".join(map(re.escape, sorted(MAIN_FIELDS, key=len, reverse=True)))
@@ -133,6 +153,8 @@ def field_model(
     IndexFormatError, FieldFileError
         A file is none that magcal reads.
     """
+    from magcal_core.field.sources import FieldSources
+
     parts = FieldName.parse(name)
     if parts is None:
         raise OptionError(f"unknown field model {name!r}; known are {', '.join(FIELD_MODELS)}")
@@ -146,11 +168,17 @@ def field_model(
     main = _main(name, parts, frozen_epoch, given)
     crust = _crust(name, parts, given) if parts.has_file and parts.main is not None else None
     external = _external(name, parts, given, index_gap)
-    return main if crust is None and external is None else SummedField(main, crust, external)
+    if crust is None and external is None:
+        return main
+    from magcal_core.field.summed import SummedField
+
+    return SummedField(main, crust, external)
 
 
 def _main(name: str, parts: FieldName, frozen_epoch: np.datetime64 | None, given: FieldSources) -> FieldModel:
     if parts.main is None:
+        from magcal_core.field.file_model import FileField
+
         if frozen_epoch is not None:
             raise OptionError(f"field model {name!r} has no epoch to choose")
         file = given.require_file(name)
@@ -160,6 +188,8 @@ def _main(name: str, parts: FieldName, frozen_epoch: np.datetime64 | None, given
     day = _day(parts.day) if frozen_epoch is None and parts.day else frozen_epoch
     if parts.degree is None and day is None:
         return model
+    from magcal_core.field.igrf import Igrf
+
     if not isinstance(model, Igrf):
         raise OptionError(f"field model {name!r} has no degree and no epoch to choose")
     if parts.has_file:
@@ -168,6 +198,9 @@ def _main(name: str, parts: FieldName, frozen_epoch: np.datetime64 | None, given
 
 
 def _crust(name: str, parts: FieldName, given: FieldSources) -> FileField:
+    from magcal_core.field.file_model import FileField
+    from magcal_core.field.igrf import MAX_DEGREE
+
     file = given.require_file(name)
     if file.max_degree <= MAX_DEGREE:
         raise OptionError(f"field model {name!r}: the file has no degree above {MAX_DEGREE}, only to {file.max_degree}")
@@ -178,6 +211,8 @@ def _crust(name: str, parts: FieldName, given: FieldSources) -> FileField:
 def _external(name: str, parts: FieldName, given: FieldSources, index_gap: str) -> ExternalField | None:
     if parts.external is None:
         return None
+    from magcal_core.field.external import ExternalField
+
     if parts.needs is None:
         return ExternalField.by_mean()
     return ExternalField.by_index(parts.external, given.require_hourly(parts.needs, f"field {name}"), index_gap)
@@ -194,6 +229,8 @@ def _file_name(degree: int | None) -> str:
 
 
 def _day(text: str) -> np.datetime64:
+    import numpy as np
+
     try:
         return np.datetime64(text, "ns")
     except ValueError as error:

@@ -31,7 +31,8 @@ from magcal_core.telemetry.export import is_text, iso_texts
 from magcal_core.telemetry.faults import FaultList
 from magcal_core.telemetry.iso_times import is_number
 from magcal_core.telemetry.long_table import LongColumns, long_columns, long_to_raw
-from magcal_core.telemetry.table import EMPTY_CELLS, RawTable, TableFormat, from_arrow
+from magcal_core.telemetry.table import EMPTY_CELLS, RawTable, from_arrow
+from magcal_core.telemetry.table_format import TableCode
 from magcal_core.telemetry.text import MAX_ROWS, check_lines, checked_text
 from magcal_core.telemetry.time_forms import is_time_key
 from magcal_core.telemetry.times import parse_times
@@ -341,10 +342,4 @@ def _arrow(data: bytes) -> pa.Table:
     return pacsv.read_csv(pa.BufferReader(data))
 
 
-FORMAT: Final = TableFormat(
-    read_csv,
-    write_csv,
-    _arrow,
-    ("text/csv", "text/tab-separated-values", "application/csv"),
-    (".csv", ".tsv", ".txt"),
-)
+CODE: Final = TableCode(read_csv, write_csv, _arrow)

@@ -1,29 +1,74 @@
-"""The formats of tables: a format is one file with a `TableFormat`, and one line in `FORMATS`.
+"""The formats of tables: a format is one file with its `TableCode`, and one entry in `FORMATS`.
 
-Options, schemas, content types, endings of files and the lists of the documentation are derived from this registry.
+What is known of a format stands here; its file is loaded when a table is read or written in it. Options, schemas,
+content types, endings of files and the lists of the documentation are derived from this registry.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import PurePath
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-import pyarrow as pa
+from magcal_core.telemetry.table_format import Reader, TableCode, TableFormat, opens_columns
 
-from magcal_core.telemetry import csv_table, json_columns, ndjson, parquet
-from magcal_core.telemetry.table import Reader, TableFormat
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+def _csv() -> TableCode:
+    from magcal_core.telemetry.csv_table import CODE
+
+    return CODE
+
+
+def _ndjson() -> TableCode:
+    from magcal_core.telemetry.ndjson import CODE
+
+    return CODE
+
+
+def _json_columns() -> TableCode:
+    from magcal_core.telemetry.json_columns import CODE
+
+    return CODE
+
+
+def _parquet() -> TableCode:
+    from magcal_core.telemetry.parquet import CODE
+
+    return CODE
+
 
 FORMATS: Final[Mapping[str, TableFormat]] = {
-    "csv": csv_table.FORMAT,
-    "ndjson": ndjson.FORMAT,
-    "json": json_columns.FORMAT,
-    "parquet": parquet.FORMAT,
+    "csv": TableFormat(
+        _csv,
+        media_types=("text/csv", "text/tab-separated-values", "application/csv"),
+        suffixes=(".csv", ".tsv", ".txt"),
+    ),
+    "ndjson": TableFormat(
+        _ndjson,
+        media_types=("application/x-ndjson", "application/ndjson", "application/jsonl"),
+        suffixes=(".ndjson", ".jsonl"),
+        looks_like=lambda head: head.startswith(b"{") and not opens_columns(head),
+    ),
+    "json": TableFormat(
+        _json_columns,
+        media_types=("application/json",),
+        suffixes=(".json",),
+        looks_like=lambda head: head.startswith(b"[") or opens_columns(head),
+    ),
+    "parquet": TableFormat(
+        _parquet,
+        media_types=("application/vnd.apache.parquet", "application/x-parquet"),
+        suffixes=(".parquet", ".pq"),
+        signature=b"PAR1",
+    ),
 }
 """Name -> format; a body that looks like no other is taken for the first."""
-READERS: Final[Mapping[str, Reader]] = {name: one.read for name, one in FORMATS.items() if one.read is not None}
+READERS: Final[Mapping[str, Reader]] = {name: one.read for name, one in FORMATS.items() if one.is_read}
 WRITERS: Final[Mapping[str, Callable[[pa.Table], bytes]]] = {
-    name: one.write for name, one in FORMATS.items() if one.write is not None
+    name: one.write for name, one in FORMATS.items() if one.is_written
 }
 MEDIA_TYPES: Final[Mapping[str, str]] = {
     media_type: name for name, one in FORMATS.items() for media_type in one.media_types_of(name)

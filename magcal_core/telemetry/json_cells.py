@@ -160,8 +160,3 @@ def _kind(value: object) -> str:
         float: "a number",
     }
     return names.get(type(value), str(value))
-
-
-def opens_columns(head: bytes) -> bool:
-    """Return whether a JSON object begins with an array, as a table does that is sent column by column."""
-    return head.startswith(b"{") and head[head.find(b":") + 1 :].lstrip().startswith(b"[")

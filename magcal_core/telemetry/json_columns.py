@@ -13,9 +13,10 @@ from magcal_core.errors import TelemetryFormatError
 from magcal_core.telemetry.columns import MAX_COLUMNS, PLAIN, ColumnMap, TableForm, checked_map, own_names, plan_columns
 from magcal_core.telemetry.export import json_cells
 from magcal_core.telemetry.faults import FaultList
-from magcal_core.telemetry.json_cells import NOT_FINITE_TOKENS, has_infinite, opens_columns, parse_json, to_raw_table
+from magcal_core.telemetry.json_cells import NOT_FINITE_TOKENS, has_infinite, parse_json, to_raw_table
 from magcal_core.telemetry.json_rows import rows_to_raw
-from magcal_core.telemetry.table import RawTable, TableFormat, from_arrow
+from magcal_core.telemetry.table import RawTable, from_arrow
+from magcal_core.telemetry.table_format import TableCode
 from magcal_core.telemetry.text import MAX_ROWS, check_row_count, checked_text
 from magcal_core.telemetry.time_forms import time_columns
 
@@ -143,11 +144,4 @@ def _arrow(data: bytes) -> pa.Table:
     return pa.table(json.loads(data))
 
 
-FORMAT: Final = TableFormat(
-    read_json_columns,
-    write_json_columns,
-    _arrow,
-    ("application/json",),
-    (".json",),
-    looks_like=lambda head: head.startswith(b"[") or opens_columns(head),
-)
+CODE: Final = TableCode(read_json_columns, write_json_columns, _arrow)

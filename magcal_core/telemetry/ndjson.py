@@ -12,10 +12,11 @@ from magcal_core.errors import InputError, TelemetryFormatError
 from magcal_core.telemetry.columns import MAX_COLUMNS, PLAIN, ColumnMap, TableForm, checked_map, own_names, plan_columns
 from magcal_core.telemetry.export import json_cells
 from magcal_core.telemetry.faults import FaultList
-from magcal_core.telemetry.json_cells import NOT_FINITE_TOKENS, has_infinite, opens_columns, parse_json
+from magcal_core.telemetry.json_cells import NOT_FINITE_TOKENS, has_infinite, parse_json
 from magcal_core.telemetry.json_rows import rows_to_raw
 from magcal_core.telemetry.long_table import long_columns
-from magcal_core.telemetry.table import RawTable, TableFormat, from_arrow
+from magcal_core.telemetry.table import RawTable, from_arrow
+from magcal_core.telemetry.table_format import TableCode
 from magcal_core.telemetry.text import MAX_ROWS, check_lines, checked_text
 from magcal_core.telemetry.time_forms import time_columns
 
@@ -130,11 +131,4 @@ def _arrow(data: bytes) -> pa.Table:
     return pajson.read_json(pa.BufferReader(data))
 
 
-FORMAT: Final = TableFormat(
-    read_ndjson,
-    write_ndjson,
-    _arrow,
-    ("application/x-ndjson", "application/ndjson", "application/jsonl"),
-    (".ndjson", ".jsonl"),
-    looks_like=lambda head: head.startswith(b"{") and not opens_columns(head),
-)
+CODE: Final = TableCode(read_ndjson, write_ndjson, _arrow)

@@ -10,7 +10,8 @@ import pyarrow as pa
 from magcal_core.errors import TelemetryFormatError
 from magcal_core.telemetry.columns import PLAIN, ColumnMap, TableForm, plan_columns
 from magcal_core.telemetry.long_table import LongColumns, long_columns, long_to_raw
-from magcal_core.telemetry.table import RawTable, TableFormat, from_arrow
+from magcal_core.telemetry.table import RawTable, from_arrow
+from magcal_core.telemetry.table_format import TableCode
 from magcal_core.telemetry.text import MAX_ROWS, check_row_count
 
 if TYPE_CHECKING:
@@ -97,11 +98,4 @@ def _arrow(data: bytes) -> pa.Table:
     return read_table(pa.BufferReader(data))
 
 
-FORMAT: Final = TableFormat(
-    read_parquet,
-    write_parquet,
-    _arrow,
-    ("application/vnd.apache.parquet", "application/x-parquet"),
-    (".parquet", ".pq"),
-    signature=b"PAR1",
-)
+CODE: Final = TableCode(read_parquet, write_parquet, _arrow)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 import pyarrow as pa
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from magcal_core.arrays import Floats, Nanoseconds
 from magcal_core.errors import TelemetryFormatError, TimeError, TimeZoneMissingError
 from magcal_core.telemetry.arrow_numbers import floats_of, is_numeric, is_text, unpacked
-from magcal_core.telemetry.columns import ColumnMap, ColumnPlan, TableForm
+from magcal_core.telemetry.columns import ColumnPlan
 from magcal_core.telemetry.declared_times import declared_times
 from magcal_core.telemetry.faults import FaultList
 from magcal_core.telemetry.iso_times import NO_TIME, Spans
@@ -52,60 +52,6 @@ class RawTable:
     scale: str | None = None
     is_valid: NDArray[np.bool_] | None = None
     bad_rows: int = 0
-
-
-class Reader(Protocol):
-    """Reads one format."""
-
-    def __call__(self, data: bytes, columns: ColumnMap | None, *, max_rows: int, form: TableForm) -> RawTable:
-        """Return the table in ``data``, its columns named by ``columns`` and written as ``form`` declares.
-
-        Raises
-        ------
-        InputError
-            With every fault of the table.
-        """
-        ...
-
-
-def _never(_head: bytes) -> bool:
-    return False
-
-
-@dataclass(frozen=True, slots=True)
-class TableFormat:
-    """One format of tables.
-
-    Attributes
-    ----------
-    read : reader of telemetry; None where the format is only written.
-    write : table -> bytes; None where the format is only read.
-    arrow : bytes -> table, as it was written, nothing judged: how residual tables are read back. None where it cannot.
-    media_types : content types; the first is what magcal answers with. Of none given, ``application/x-NAME``.
-    suffixes : endings of files with their dot, in lower case. Of none given, ``.NAME``.
-    signature : bytes that every table of the format begins with, and none of another; empty where there are none.
-    looks_like : whether a body without a signature, byte order mark and blanks taken off, begins like the format.
-    """
-
-    read: Reader | None = None
-    write: Callable[[pa.Table], bytes] | None = None
-    arrow: Callable[[bytes], pa.Table] | None = None
-    media_types: tuple[str, ...] = ()
-    suffixes: tuple[str, ...] = ()
-    signature: bytes = b""
-    looks_like: Callable[[bytes], bool] = _never
-
-    def media_types_of(self, name: str) -> tuple[str, ...]:
-        """Return the content types of this format, whose name is ``name``."""
-        return self.media_types or (f"application/x-{name}",)
-
-    def suffixes_of(self, name: str) -> tuple[str, ...]:
-        """Return the endings of this format, whose name is ``name``."""
-        return self.suffixes or (f".{name}",)
-
-    def has_signature(self, data: bytes) -> bool:
-        """Return whether ``data`` begin with the signature of this format."""
-        return bool(self.signature) and data.startswith(self.signature)
 
 
 def from_arrow(table: pa.Table, plan: ColumnPlan, *, name: str) -> RawTable:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import datetime, timedelta
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from app.connectors.indices.contract import IndexPart
-from app.settings import Settings
+
+if TYPE_CHECKING:
+    from app.settings import Settings
 
 NOWCAST: Final = timedelta(days=28)
 """So far back the nowcast's file reaches; it has the last 30 days."""

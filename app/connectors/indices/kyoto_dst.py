@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from app.connectors.indices.contract import IndexPart
-from app.settings import Settings
+
+if TYPE_CHECKING:
+    from app.settings import Settings
 
 SETTLES: Final = timedelta(days=45)
 """So long after its month the quicklook is still renewed."""

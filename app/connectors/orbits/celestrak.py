@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 from urllib.parse import urlsplit
 
 from app.connectors.http import SourceClient, SourceContentError, require_no_page
 from app.connectors.orbits.contract import Limit, Reply, Watched
-from app.settings import Settings
+
+if TYPE_CHECKING:
+    from app.settings import Settings
 
 PATH: Final = "/NORAD/elements/gp.php"
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from app.connectors.http import SourceContentError
 from app.connectors.orbits.contract import Limit, Reply, Watched
-from app.settings import Settings
+
+if TYPE_CHECKING:
+    from app.settings import Settings
 
 ENDINGS: Final = {".json": "application/json", ".xml": "application/xml"}
 MOST_BYTES: Final = 16 << 20

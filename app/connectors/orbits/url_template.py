@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from app.connectors.http import SourceClient, SourceContentError, require_no_page
 from app.connectors.orbits.contract import Limit, Reply, Watched
-from app.settings import Settings
+
+if TYPE_CHECKING:
+    from app.settings import Settings
 
 
 class UrlTemplate:

@@ -13,12 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats
-from magcal_core.constants import EARTH_GM_KM3_S2, EARTH_RADIUS_EGM96_KM
+from magcal_core.constants import EARTH_GM_KM3_S2, EARTH_RADIUS_EGM96_KM, EGM96_MAX_DEGREE
 from magcal_core.errors import ModelRangeError
 from magcal_core.numerics.kernel import kernel
 
-MAX_DEGREE: Final = 36
-"""Highest degree of the shipped EGM96 table."""
 EGM96_SHA256: Final = "cdba2e9ccffb73216aafb3f0a7665d9ca5e89166364e5d36f173d46ad02ad091"
 """SHA-256 of ``data/egm96_36.csv``, checked whenever the table is loaded."""
 
@@ -26,7 +24,7 @@ _GRS80_RADIUS_KM: Final = 6378.137
 _GRS80_E2: Final = 0.00669438002290
 _GRS80_J2: Final = 1.08263e-3
 
-_INVERSE: Final = 1.0 / np.maximum(np.arange(MAX_DEGREE + 3), 1)
+_INVERSE: Final = 1.0 / np.maximum(np.arange(EGM96_MAX_DEGREE + 3), 1)
 
 
 @kernel()
@@ -211,7 +209,8 @@ def _egm96_table() -> GravityField:
     digest = hashlib.sha256(raw).hexdigest()
     if digest != EGM96_SHA256:
         raise ModelRangeError(f"the EGM96 table has SHA-256 {digest}, want {EGM96_SHA256}: the installation is damaged")
-    c, s = np.zeros((MAX_DEGREE + 1, MAX_DEGREE + 1)), np.zeros((MAX_DEGREE + 1, MAX_DEGREE + 1))
+    shape = (EGM96_MAX_DEGREE + 1, EGM96_MAX_DEGREE + 1)
+    c, s = np.zeros(shape), np.zeros(shape)
     for line in raw.decode("ascii").splitlines()[2:]:
         n, m, cosine, sine = line.split(",")
         c[int(n), int(m)], s[int(n), int(m)] = float(cosine), float(sine)

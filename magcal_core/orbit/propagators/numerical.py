@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magcal_core.arrays import Floats, Times
-from magcal_core.constants import EARTH_RADIUS_EGM96_KM
+from magcal_core.constants import EARTH_RADIUS_EGM96_KM, EGM96_MAX_DEGREE
 from magcal_core.errors import OptionError, OrbitFormatError, PropagationError
 from magcal_core.orbit.earth.bodies import EphemerisName, default_ephemeris
 from magcal_core.orbit.earth.frames import Frame, convert_state
@@ -25,7 +25,7 @@ from magcal_core.orbit.propagators.forces import (
     force_tables,
     gcrf_to_itrf_matrices,
 )
-from magcal_core.orbit.propagators.gravity import MAX_DEGREE, GravityField, egm96
+from magcal_core.orbit.propagators.gravity import GravityField, egm96
 
 DEFAULT_RTOL: Final = 1e-12
 """Relative tolerance of a step; 24 h of a low orbit end within 1 mm of a tighter integration."""
@@ -104,7 +104,7 @@ class NumericalOrbit:
             raise OptionError(f"rtol is {rtol}; want more than 0 and less than 1e-3")
         self._epoch_ns = int(nanoseconds(np.array([epoch_utc], "datetime64[ns]"))[0])
         self.state_km_km_s: Final = _checked_state(r_gcrf_km, v_gcrf_km_s)
-        self.field: Final = (field or egm96(MAX_DEGREE)).truncated(degree)
+        self.field: Final = (field or egm96(EGM96_MAX_DEGREE)).truncated(degree)
         self.has_third_bodies: Final = third_bodies
         self.has_tide: Final = tide
         self.drag: Final = drag

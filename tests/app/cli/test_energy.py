@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from app.cli.main import magcal, run
-from magcal_core.energy.terms import FORMS
+from magcal_core.energy.forms import FORMS
 from magcal_core.errors import ModelRangeError
 from magcal_core.orbit.propagators.numerical import NumericalOrbit
 

@@ -8,7 +8,8 @@ import pytest
 
 from magcal_core.constants import EARTH_ROTATION_RAD_S, MOON_GM_KM3_S2, SUN_GM_KM3_S2
 from magcal_core.energy import terms as energy_terms
-from magcal_core.energy.terms import FORMS, Track, balance_terms, full_rotation_rad_s, hamiltonian_m2_s2, work_m2_s2
+from magcal_core.energy.forms import FORMS, hamiltonian_m2_s2
+from magcal_core.energy.terms import Track, balance_terms, full_rotation_rad_s, work_m2_s2
 from magcal_core.orbit.propagators.forces import ExponentialDrag, gcrf_to_itrf_matrices
 from magcal_core.orbit.propagators.numerical import NumericalOrbit
 

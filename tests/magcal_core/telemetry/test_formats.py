@@ -25,6 +25,8 @@ from magcal_core.telemetry import (
     read_telemetry,
     write_samples,
 )
+from magcal_core.telemetry.formats import FORMATS as REGISTRY
+from magcal_core.telemetry.table_format import TableCode, TableFormat
 
 FORMATS = sorted(READERS)
 
@@ -249,3 +251,15 @@ def test_any_table_is_written_times_in_iso_and_text_made_harmless() -> None:
     assert json.loads(WRITERS["json"](table)) == {"time": times, "why": ["=1+1", 'a "b", c'], "x": [1.5, None]}
     assert [json.loads(line)["time"] for line in WRITERS["ndjson"](table).splitlines()] == times
     assert WRITERS["csv"](table.select(["time", "x"])).decode().splitlines()[1] == f"{times[0]},1.5"
+
+
+@pytest.mark.parametrize("kind", REGISTRY)
+def test_what_the_registry_says_of_a_format_is_what_its_code_can(kind):
+    known, code = REGISTRY[kind], REGISTRY[kind].load()
+    has = [part is not None for part in (code.read, code.write, code.arrow)]
+    assert [known.is_read, known.is_written, known.is_read_back] == has
+
+
+def test_a_format_without_a_writer_refuses_to_write():
+    with pytest.raises(OptionError, match="not for that"):
+        TableFormat(TableCode).write(pa.table({"a": [1]}))
