@@ -9,6 +9,7 @@ from typing import Final, TypedDict
 
 from magcal_core.errors import Fault, InputError, OptionError
 from magcal_core.field.choices import INDEX_GAPS
+from magcal_core.units import TIME_SCALES
 
 ORBIT_MODELS: Final = ("sgp4", "numerical")
 TIME_OFFSETS: Final = ("auto", "none", "estimate")
@@ -236,9 +237,7 @@ def _without(value: object) -> str | None:
 
 
 def _time_scale(value: object) -> str | None:
-    from magcal_core.telemetry.times import CLOCK_SCALES
-
-    return _one_of(CLOCK_SCALES)(value)
+    return _one_of(TIME_SCALES)(value)
 
 
 def _gyro(value: object) -> str | None:

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 NT_PER_UNIT: Final[dict[str, float]] = {"nT": 1.0, "uT": 1e3, "mT": 1e6, "T": 1e9, "G": 1e5, "mG": 1e2}
 """nT in one of each unit that a magnetometer may report."""
 
+TIME_SCALES: Final = ("utc", "gps", "tai", "tt")
+"""Scales that the clock of telemetry may keep."""
 
 COUNTS: Final = "counts"
 """Unit of a magnetometer that sends counts; how many nT one is has to be said beside it."""

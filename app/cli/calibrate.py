@@ -44,7 +44,7 @@ from magcal_core.options import (
     TIME_OFFSETS,
     CalibrationOptions,
 )
-from magcal_core.units import COUNTS, NT_PER_UNIT
+from magcal_core.units import COUNTS, NT_PER_UNIT, TIME_SCALES
 
 if TYPE_CHECKING:
     from magcal_core.calibration.result import Calibration
@@ -78,7 +78,8 @@ def telemetry_options(function: F) -> F:
         click.option("--format", "kind", type=Names(_formats),
                      help="Format.  [default: told by the file's ending or its first bytes]"),
         click.option("--range", "range_nt", type=float, help="Range of the sensor, nT: readings beyond are saturated."),
-        click.option("--time-scale", type=click.Choice(["utc", "gps"]), default="utc", show_default=True),
+        click.option("--time-scale", type=click.Choice(TIME_SCALES), default="utc", show_default=True,
+                     help="Scale that the times are kept on."),
         click.option("--time-format",
                      help="Form of the times where it is neither ISO 8601 with a zone nor seconds since 1970: utc, "
                           "unix-ms, gps, gps-week, j2000, jd, mjd, doy, boot, .. or a pattern: '%d.%m.%Y %H:%M'."),

@@ -23,7 +23,7 @@ from magcal_core.options import (
     CalibrationOptions,
 )
 from magcal_core.telemetry.spans import MOST_SPANS
-from magcal_core.telemetry.times import CLOCK_SCALES
+from magcal_core.units import TIME_SCALES
 
 Method = Annotated[str, OneOf(ESTIMATORS)]
 FieldName = Annotated[
@@ -76,7 +76,7 @@ class CalibrationOptionsBody(Body):
     without: list[SpanText] | None = Field(
         None, max_length=MOST_SPANS, description="Spans of time to leave out, as if they had not been sent."
     )
-    time_scale: Annotated[str, OneOf(CLOCK_SCALES)] | None = Field(
+    time_scale: Annotated[str, OneOf(TIME_SCALES)] | None = Field(
         None,
         description="Scale that the clock of the telemetry keeps where its times were read as UTC and are not: they "
         "are moved back to UTC first. For telemetry to come, declare the magnetometer's `time_format`.",

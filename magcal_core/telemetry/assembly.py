@@ -37,7 +37,7 @@ class Judgement:
     ----------
     unit : unit of the readings.
     range_nt : the magnetometer's range, nT; readings at or beyond it are saturated. None where it is not known.
-    time_scale : ``utc`` or ``gps``.
+    time_scale : of `TIME_SCALES`.
     field_range_nt : bounds of |B|, nT, that tell a wrong unit; None leaves the unit unchecked.
     max_bad_fraction : share of samples without a reading or reference past which the table is refused.
     max_conflict_fraction : share of samples in conflict past which the table is refused.

@@ -9,6 +9,7 @@ from typing import Final
 import zstandard
 
 from magcal_core.errors import DecompressionLimitError, TelemetryFormatError
+from magcal_core.foreign_files import binary_file
 
 MAX_DECOMPRESSED_BYTES: Final = 512 << 20
 """Bytes that a compressed body may grow to."""
@@ -19,14 +20,8 @@ RATIO_COUNTS_FROM_BYTES: Final = 8 << 20
 
 _GZIP: Final = b"\x1f\x8b"
 _ZSTD: Final = b"\x28\xb5\x2f\xfd"
-_ARCHIVES: Final = {
-    b"PK\x03\x04": "a zip archive",
-    b"PK\x05\x06": "a zip archive",
-    b"BZh": "bzip2",
-    b"\xfd7zXZ\x00": "xz",
-    b"7z\xbc\xaf\x27\x1c": "a 7z archive",
-    b"Rar!": "a rar archive",
-}
+_ARCHIVES: Final = ("archive", "a bzip2 file", "an xz file")
+"""What is refused as it is, whatever it may hold."""
 _CHUNK: Final = 1 << 20
 _ZSTD_STEP: Final = 1024
 """Compressed bytes given to zstd at once: it bounds no output, and one block of 4 bytes may grow to 128 KiB."""
@@ -67,11 +62,9 @@ def decompress(data: bytes, *, max_bytes: int = MAX_DECOMPRESSED_BYTES) -> bytes
 
 
 def _refuse_archive(data: bytes) -> None:
-    for magic, name in _ARCHIVES.items():
-        if data.startswith(magic):
-            raise TelemetryFormatError(f"the body is {name}; accepted are plain, gzip and zstd")
-    if data[257:262] == b"ustar":
-        raise TelemetryFormatError("the body is a tar archive; accepted are plain, gzip and zstd")
+    found = binary_file(data)
+    if found is not None and found.endswith(_ARCHIVES):
+        raise TelemetryFormatError(f"the body is {found}; accepted are plain, gzip and zstd")
 
 
 def _check_growth(grown: int, consumed: int, max_bytes: int) -> None:

@@ -11,6 +11,7 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Final
 
 from magcal_core.errors import TelemetryFormatError
@@ -25,6 +26,8 @@ _DECLARED: Final = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
 _DATA: Final = re.compile(r"[+-]?\.?\d")
 _DECIMAL_COMMA: Final = re.compile(rb"(?:^|[;\t\"])\s*[+-]?\d+,\d+(?:[eE][+-]?\d+)?\s*(?=[;\t\"\r\n])", re.MULTILINE)
 _DECIMAL_POINT: Final = re.compile(rb"(?:^|[;\t\"])\s*[+-]?\d+\.\d+(?:[eE][+-]?\d+)?\s*(?=[;\t\"\r\n])", re.MULTILINE)
+_BLANKS: Final = re.compile(rb" +")
+_BLANKS_OUTSIDE: Final = re.compile(rb"^ +| +(?=\r?$)", re.MULTILINE)
 _PROBED_BYTES: Final = 1 << 16
 _UNITS: Final = frozenset({"nt", "ut", "mt", "t", "g", "mg", "counts", "gauss", "tesla", "nanotesla", "microtesla"})
 
@@ -95,6 +98,24 @@ def find_layout(text: bytes) -> Layout:
     at = _header_among(plain, declared) or 0
     separator = declared or _separator(plain[at].text, [one.text for one in plain[at + 1 : at + 2]])
     return _at_header(plain, at, separator, text)
+
+
+def with_tabs(text: bytes) -> bytes:
+    """Return a table whose cells are parted by blanks alone with a tab between them; any other as it is.
+
+    It is such a table where two lines, one below the other, part into as many cells, four at least, the second is a row
+    of numbers, and neither has another separator. Lines stay lines.
+    """
+    few = [line.text for line in _first_lines(text, 3) if not line.text.startswith("#")]
+    if any(separator in line for line in few[-1:] for separator in SEPARATORS):
+        return text
+    plain = [line.text for line in _first_lines(text, MOST_LINES_ABOVE) if not line.text.startswith("#")]
+    for above, below in pairwise(plain):
+        if any(separator in line for line in (above, below) for separator in SEPARATORS):
+            continue
+        if 4 <= len(below.split()) == len(above.split()) and _is_data(below.split()):
+            return _BLANKS.sub(b"\t", _BLANKS_OUTSIDE.sub(b"", text))
+    return text
 
 
 def _at_header(plain: Sequence[_Line], at: int, separator: str, text: bytes) -> Layout:

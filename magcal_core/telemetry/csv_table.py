@@ -1,4 +1,4 @@
-"""CSV: a header row, then one row a sample; comma, semicolon or tab."""
+"""CSV: a header row, then one row a sample; comma, semicolon, tab or blanks."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from magcal_core.telemetry.columns import (
     normal_header,
     plan_columns,
 )
-from magcal_core.telemetry.csv_layout import Layout, find_layout
+from magcal_core.telemetry.csv_layout import Layout, find_layout, with_tabs
 from magcal_core.telemetry.declared_times import declared_times
 from magcal_core.telemetry.export import is_text, iso_texts
 from magcal_core.telemetry.faults import FaultList
@@ -55,6 +55,7 @@ def read_csv(
     """
     text = checked_text(data)
     check_lines(text, max_rows=max_rows)
+    text = with_tabs(text)
     layout = find_layout(text)
     header = normal_header(layout.header)
     if not text[layout.start : layout.start + 4096].strip() and not text[layout.start :].strip():

@@ -29,6 +29,8 @@ def read_json_columns(
 ) -> RawTable:
     """Return the table in ``data``: ``{"time": [...], "bx": [...], ...}``, or a list of objects, one a row.
 
+    An object whose only array is such a list, as services answer with, is that list.
+
     Raises
     ------
     InputError
@@ -51,13 +53,18 @@ def _read_rows(text: bytes, columns: ColumnMap | None, max_rows: int, form: Tabl
     whole = parse_json(text, where="the JSON table")
     if not isinstance(whole, list) or not whole:
         raise TelemetryFormatError("the JSON table is a list without rows")
+    return _of_rows(whole, columns, max_rows, form)
+
+
+def _of_rows(whole: list[object], columns: ColumnMap | None, max_rows: int, form: TableForm) -> RawTable:
     check_row_count(len(whole), max_rows)
     faults = FaultList(TABLE)
     for number, row in enumerate(whole, 1):
         if not isinstance(row, dict):
             faults.add(TelemetryFormatError, f"row {number}", "not a JSON object")
     faults.raise_if_any()
-    return rows_to_raw(whole, columns, form, row_word="row", table=TABLE)
+    rows = [row for row in whole if isinstance(row, dict)]
+    return rows_to_raw(rows, columns, form, row_word="row", table=TABLE)
 
 
 def _read_fast(text: bytes, mapped: dict[str, str], form: TableForm) -> pa.Table | None:
@@ -116,6 +123,8 @@ def _read_slowly(text: bytes, columns: ColumnMap | None, max_rows: int, form: Ta
     whole = parse_json(text, where="the JSON table")
     if not isinstance(whole, dict):
         raise TelemetryFormatError('the JSON table is no object of arrays: want {"time": [...], "bx": [...], ...}')
+    if (inside := _rows_inside(whole)) is not None:
+        return _of_rows(inside, columns, max_rows, form)
     plan = plan_columns(list(whole), columns, table=TABLE, form=form)
     faults = FaultList(TABLE)
     for name, cells in whole.items():
@@ -130,6 +139,14 @@ def _read_slowly(text: bytes, columns: ColumnMap | None, max_rows: int, form: Ta
     faults.raise_if_any()
     check_row_count(rows, max_rows)
     return to_raw_table(whole, plan, row_word="row", table=TABLE)
+
+
+def _rows_inside(whole: dict[str, object]) -> list[object] | None:
+    """Return the rows of an answer such as ``{"count": 2, "data": [{..}, {..}]}``: its only array, if of objects."""
+    arrays = [cells for cells in whole.values() if isinstance(cells, list)]
+    if len(arrays) != 1 or not arrays[0] or not all(isinstance(row, dict) for row in arrays[0]):
+        return None
+    return arrays[0]
 
 
 def write_json_columns(table: pa.Table) -> bytes:

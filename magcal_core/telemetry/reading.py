@@ -67,7 +67,7 @@ def read_telemetry(
     range_nt : float, optional
         The magnetometer's range, nT: readings at or beyond it are flagged as saturated.
     time_scale : str
-        ``utc``, or ``gps`` where the times are GPS time (numbers then count from 1980-01-06).
+        Scale that the times are kept on: ``utc``, ``gps`` (numbers then count from 1980-01-06), ``tai`` or ``tt``.
     nt_per_count : float, optional
         nT in one count, where the unit is counts.
     time_format, time_epoch : str, optional

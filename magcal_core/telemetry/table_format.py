@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 from magcal_core.errors import OptionError
 
@@ -125,6 +126,14 @@ def _there(function: T | None) -> T:
     return function
 
 
+_ANSWER: Final = re.compile(
+    rb'\{(?:\s*"[^"]*"\s*:\s*(?:"[^"]*"|\{[^{}]*\}|[^\s",{}\[\]]+)\s*,)*+\s*"[^"]*"\s*:\s*\[\s*\{'
+)
+"""An object that comes to an array of objects by members that are neither arrays nor nested."""
+
+
 def opens_columns(head: bytes) -> bool:
-    """Return whether a JSON object begins with an array, as a table does that is sent column by column."""
-    return head.startswith(b"{") and head[head.find(b":") + 1 :].lstrip().startswith(b"[")
+    """Return whether a JSON object is one table: it begins with an array, or it holds an array of objects."""
+    if not head.startswith(b"{"):
+        return False
+    return head[head.find(b":") + 1 :].lstrip().startswith(b"[") or _ANSWER.match(head) is not None

@@ -8,11 +8,12 @@ from typing import Final
 import numpy as np
 
 from magcal_core.errors import EncodingError, TelemetryFormatError, TooManyRowsError
+from magcal_core.foreign_files import binary_file, web_page
 
 MAX_LINE_BYTES: Final = 4096
+"""Longest line of a table."""
 MAX_COMMENT_BYTES: Final = 1 << 20
 """Longest line behind ``#``: a HAPI server may write all its header, some hundred parameters, on one."""
-"""Longest line of a table."""
 MAX_ROWS: Final = 20_000_000
 """Most rows of one table."""
 
@@ -35,7 +36,15 @@ def checked_text(data: bytes) -> bytes:
     ------
     EncodingError
         The text is not UTF-8 or has a NUL; the message has the byte offset.
+    TelemetryFormatError
+        It is no text but a file of another kind, or a web page; the message names it.
     """
+    foreign = binary_file(data)
+    if foreign is not None:
+        raise TelemetryFormatError(f"this is {foreign}: no text, and no table that is read")
+    page = web_page(data)
+    if page is not None:
+        raise TelemetryFormatError(f"this is {page}, not a table: a page for people, or a server's error or login")
     for mark, name in _FOREIGN_MARKS.items():
         if data.startswith(mark):
             raise EncodingError(f"the text is {name} (byte offset 0); send UTF-8")

@@ -21,11 +21,7 @@ from magcal_core.telemetry.iso_times import (
     parse_iso_ns,
 )
 from magcal_core.telemetry.time_guesses import on_number, on_text
-
-TIME_SCALES: Final = ("utc", "gps")
-"""Scales that telemetry may declare; with ``gps``, numbers are seconds since 1980-01-06."""
-CLOCK_SCALES: Final = ("utc", "gps", "tai", "tt")
-"""Scales that a clock may keep."""
+from magcal_core.units import TIME_SCALES
 
 _GPS_EPOCH_NS: Final = int(np.datetime64("1980-01-06", "ns").astype(np.int64))
 _MINUS_TAI_NS: Final = {"gps": -19_000_000_000, "tai": 0, "tt": 32_184_000_000}
@@ -114,7 +110,7 @@ def _refuse_other_forms(typical: float, spans: Spans) -> None:
 
 
 def to_utc_ns(t_ns: Nanoseconds, *, time_scale: str, is_epoch: bool) -> Nanoseconds:
-    """Return times of the declared scale in UTC.
+    """Return times of the declared scale in UTC; ``is_epoch``: numbers, which of GPS count from 1980-01-06.
 
     Raises
     ------
@@ -125,7 +121,8 @@ def to_utc_ns(t_ns: Nanoseconds, *, time_scale: str, is_epoch: bool) -> Nanoseco
         raise OptionError(f"unknown time scale {time_scale!r}; known are {', '.join(TIME_SCALES)}")
     if time_scale == "utc":
         return t_ns
-    return in_utc_ns(t_ns + np.where(t_ns == NO_TIME, 0, _GPS_EPOCH_NS) if is_epoch else t_ns, time_scale)
+    counts_from_gps = is_epoch and time_scale == "gps"
+    return in_utc_ns(t_ns + np.where(t_ns == NO_TIME, 0, _GPS_EPOCH_NS) if counts_from_gps else t_ns, time_scale)
 
 
 def in_utc_ns(t_ns: Nanoseconds, scale: str) -> Nanoseconds:

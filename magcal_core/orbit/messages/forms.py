@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from magcal_core.errors import Fault, OrbitFormatError
+from magcal_core.foreign_files import HTML, binary_file, page_words
 from magcal_core.orbit.messages.bulletin import has_tle
 
 MOST_OF_A_MESSAGE: Final = 80
@@ -35,7 +36,6 @@ class Form:
     is_read: bool = True
 
 
-_PAGE: Final = r"(?:<\?xml[^>]*>\s*|<!--(?:(?!-->)[\s\S])*-->\s*)*(?:<!doctype html|<html|<head|<body)"
 _COMMENTS: Final = re.compile(r"(?:#(?![a-z][PV ]\d{4}|#)[^\n]*\n\s*)+")
 """Lines of comment that some producers begin a file with; SP3 has its first lines behind ``#``, too."""
 
@@ -61,7 +61,7 @@ def _is_csv_of_elements(start: str) -> bool:
 
 
 FORMS: Final = (
-    Form("html", "an HTML page", _starts(_PAGE), is_read=False),
+    Form("html", "an HTML page", _starts(HTML), is_read=False),
     Form("json", "JSON", _starts(r"[{\[]")),
     Form("csv", "CSV of mean elements", _is_csv_of_elements),
     Form("kml", "a KML file", _xml_of("kml"), is_read=False),
@@ -88,10 +88,6 @@ FORMS: Final = (
 )
 """Looked through in this order; what none of them is, is taken for TLEs, alone or with text around them."""
 
-_BINARY: Final = {
-    b"DAF/": "an SPK kernel", b"SIMPLE  =": "a FITS file", b"PK\x03\x04": "a zip archive",
-    b"\x89HDF": "an HDF5 file", b"CDF": "a NetCDF file", b"%PDF": "a PDF document",
-}  # fmt: skip
 READ: Final = "TLE, OMM, OPM, OEM, SP3-c and -d, STK ephemeris (.e), state vector"
 """What is read, as messages have it."""
 _ERROR_KEYS: Final = ("error", "errors", "detail", "message", "exception", "fault")
@@ -110,9 +106,9 @@ def refuse_binary(content: bytes) -> None:
     OrbitFormatError
         They do; the message names the file.
     """
-    for magic, words in _BINARY.items():
-        if content.startswith(magic):
-            raise OrbitFormatError(f"this is {words}; orbits are read from text: {READ}")
+    words = binary_file(content)
+    if words is not None:
+        raise OrbitFormatError(f"this is {words}; orbits are read from text: {READ}")
 
 
 def form_of(text: str) -> str:
@@ -130,10 +126,8 @@ def form_of(text: str) -> str:
             _refuse_message(start, len(text))
         return "tle"
     if form.name == "html":
-        title = re.search(r"<title[^>]*>\s*([^<]{1,200})", start, re.IGNORECASE)
-        said = f", {_quoted(title[1])}" if title else ""
         raise OrbitFormatError(
-            f"this is an HTML page{said}, not an orbit: a page for people, or a server's error or login"
+            f"this is {page_words(start)}, not an orbit: a page for people, or a server's error or login"
         )
     if not form.is_read:
         raise OrbitFormatError(f"this is {form.words}, which is not read; read are {READ}")

@@ -1,7 +1,11 @@
 """Tables as stations write them: each form is read as the plain one is, or refused with what the user can do."""
 
+import bz2
+import io
 import json
+import lzma
 import re
+import zipfile
 
 import numpy as np
 import pytest
@@ -172,6 +176,85 @@ def test_a_list_of_json_objects_is_a_table() -> None:
 
 def nested(row: dict[str, object]) -> dict[str, object]:
     return {"header": {"time": row["time"]}, "mag": {"x": row["bx"], "y": row["by"], "z": row["bz"]}}
+
+
+@pytest.mark.parametrize(
+    "around",
+    [{}, {"count": N, "next": None}, {"meta": {"station": "one", "page": 1}}],
+    ids=["alone", "below counts", "below an object"],
+)
+@pytest.mark.parametrize("indent", [None, 2])
+def test_the_rows_inside_an_answer_are_a_table(around: dict[str, object], indent: int | None) -> None:
+    assert_plain(read(json.dumps({**around, "results": OBJECTS}, indent=indent)))
+    assert_plain(read(json.dumps({"results": OBJECTS, **around}, indent=indent)))
+
+
+def test_an_answer_with_two_lists_of_rows_is_refused() -> None:
+    assert "column time: missing" in message(json.dumps({"results": OBJECTS, "others": OBJECTS}), format="json")
+
+
+BLANKS = "\n".join(f"  {row.replace(',', '   ')} " for row in ROWS)
+
+
+@pytest.mark.parametrize(
+    "head",
+    ["time bx by bz\n", "# time bx by bz\n", "My export\n\n#  made by hand\n   time    bx   by    bz  \n"],
+    ids=["header", "comment", "below a title"],
+)
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_a_table_parted_by_blanks_is_read(head: str, end: str) -> None:
+    assert_plain(read(f"{head}{BLANKS}\n".replace("\n", end)))
+
+
+def test_what_numpy_writes_as_text_is_read() -> None:
+    table = io.StringIO()
+    epoch_s = np.array([t.rstrip("Z") for t in TIMES], "M8[s]").astype(np.int64)
+    np.savetxt(table, np.c_[epoch_s, H_NT], header="time bx by bz")
+    assert_plain(read(table.getvalue()))
+
+
+def test_date_and_time_of_day_parted_by_blanks_are_two_columns() -> None:
+    rows = BLANKS.replace("T", "  ").replace("Z", "")
+    assert_plain(read(f"date time bx by bz\n{rows}\n", columns={"date": "date"}, time_format="utc"))
+
+
+def archive_of(name: str) -> bytes:
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
+        archive.writestr("[Content_Types].xml", "<Types/>")
+        archive.writestr(name, "<x/>")
+    return content.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (archive_of("xl/workbook.xml"), "an Excel workbook"),
+        (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(64), "an old Excel or Office file"),
+        (archive_of("notes.txt"), "a zip archive"),
+        (bz2.compress(PLAIN.encode()), "a bzip2 file"),
+        (lzma.compress(PLAIN.encode()), "an xz file"),
+        (b"%PDF-1.7\n1 0 obj\n", "a PDF document"),
+        (b"\x89HDF\r\n\x1a\n" + bytes(64), "an HDF5 file"),
+        (b"CDF\x01" + bytes(64), "a NetCDF file"),
+        (b"\xcd\xf3\x00\x01\x00\x00\xff\xff" + bytes(64), "a CDF file"),
+        (b"MATLAB 5.0 MAT-file, Platform: GLNXA64", "a MATLAB file"),
+        (b"SQLite format 3\x00" + bytes(64), "an SQLite database"),
+        (b"\n <!DOCTYPE html>\n<html><head><title>503 Busy\x1b[31m</title>", "an HTML page, '503 Busy"),
+        (b'<?xml version="1.0"?><html><body>Log in', "an HTML page"),
+    ],
+)
+@pytest.mark.parametrize("form", [None, "csv", "ndjson", "json"])
+def test_a_file_of_another_kind_is_named(content: bytes, words: str, form: str | None) -> None:
+    said = message(content, format=form)
+    assert words in said
+    assert said.isprintable()
+
+
+@pytest.mark.parametrize("name", ["BZh", "PK", "CDF", "Rar", "DAF"])
+def test_a_column_may_have_the_name_that_another_kind_of_file_begins_with(name: str) -> None:
+    rows = "\n".join(f"1.0,{row}" for row in ROWS)
+    assert_plain(read(f"{name},time,bx,by,bz\n{rows}\n"))
 
 
 @pytest.mark.parametrize("is_list", [True, False])

@@ -151,9 +151,19 @@ def test_gps_time_is_converted_where_it_is_declared(utc: str, leap_s: int) -> No
         assert read_samples(table(cell), time_scale="gps").t_utc[0] == np.datetime64(utc)
 
 
+@pytest.mark.parametrize(("scale", "ahead_ms"), [("tai", 37_000), ("tt", 69_184)])
+def test_tai_and_tt_are_converted_where_they_are_declared(scale: str, ahead_ms: int) -> None:
+    """TAI minus UTC is 37 s since 2017 (IERS Bulletin C), TT is 32.184 s ahead of TAI."""
+    own = np.datetime64("2022-02-19T22:37:44", "ms") + np.timedelta64(ahead_ms, "ms")
+    seconds = own.astype("M8[ms]").astype(np.int64) / 1e3
+    for cell in (f"{own}Z", f"{seconds:.3f}"):
+        found = read_samples(table(cell), time_scale=scale).t_utc[0]
+        assert abs(found - np.datetime64("2022-02-19T22:37:44")) <= np.timedelta64(1, "us")
+
+
 def test_an_unknown_time_scale_is_an_option_fault() -> None:
-    with pytest.raises(OptionError, match="utc, gps"):
-        read_samples(table("1645310264"), time_scale="tai")
+    with pytest.raises(OptionError, match="utc, gps, tai, tt"):
+        read_samples(table("1645310264"), time_scale="tcb")
 
 
 def test_a_float_epoch_is_rounded_to_the_microsecond() -> None:
