@@ -19,6 +19,7 @@ from app.operations.magnetometer_metrics import READINGS
 from app.parameter_sets.export_formats import EXPORTERS
 from app.parameter_sets.reasons import REASONS
 from app.settings import Settings
+from benchmarks.magnetosphere import Spread
 from magcal_core.calibration.estimators.registry import ESTIMATORS
 from magcal_core.errors import MagcalError
 from magcal_core.field.models import FIELD_MODELS
@@ -161,3 +162,38 @@ def script(name: str) -> ModuleType:
 def test_the_drawings_of_the_house_show_the_imports_that_the_code_has() -> None:
     for name, drawing in script("draw_house").drawings().items():
         assert (DOCS / "images" / name).read_text(encoding="utf-8") == drawing, f"python docs/draw_house.py: {name}"
+
+
+def test_the_picture_of_the_external_field_shows_its_table_and_the_text_has_its_figures() -> None:
+    picture = script("draw_external_field")
+    for name, drawing in picture.drawings().items():
+        assert (DOCS / "images" / name).read_text(encoding="utf-8") == drawing, f"draw_external_field.py: {name}"
+    left = picture.read_table()
+    assert {len(row) for row in left.values()} == {len(picture.GROUPS)}
+    (size, ppm), (size_rc, ppm_rc) = left["igrf-14"][0], left["igrf-14+rc"][0]
+    text = " ".join(page("field.md").split())
+    falls = (
+        f"common scale error of a session falls from {ppm:g} to {ppm_rc:g} ppm, and |B| from {size:.1f} to {size_rc:g}"
+    )
+    assert falls in text
+    how_to = " ".join(page("how-to/indices.md").split())
+    assert f"falls from {ppm:g} to {ppm_rc:g} ppm rms" in how_to
+
+
+def test_a_table_that_is_measured_anew_is_read_back_and_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    picture = script("draw_external_field")
+    monkeypatch.setattr(picture, "PAGE", tmp_path / "field.md")
+    picture.PAGE.write_text(f"before\n{picture.BEGIN}\nold\n{picture.END}\nafter\n", encoding="utf-8")
+    spreads = {
+        f"{name}": {group: Spread(12.34 + i, 1.0, 1234.4 + i) for i, group in enumerate(picture.GROUPS)}
+        for name in (*picture.DRAWN, "igrf-14+rc, RC alone")
+    }
+    picture.write_table(spreads)
+    written = picture.PAGE.read_text(encoding="utf-8")
+    assert written.startswith("before\n")
+    assert written.endswith("after\n")
+    assert "old" not in written
+    left = picture.read_table()
+    assert list(left) == list(picture.DRAWN)
+    assert left["igrf-14+rc"][:2] == [(12.3, 1234.0), (13.3, 1235.0)]
+    assert picture.drawing(left).count(">1235<") == len(picture.DRAWN)

@@ -57,7 +57,7 @@ def command(
 
     from magcal_core.calibration.sessions.trend import trend
 
-    sets = [one for path in files for one in _sets(path)]
+    sets = [one for path in files for one in sets_of_file(path)]
     found = trend(sets, None if at is None else np.datetime64(at, "ns"), share, field_nt)
     if series is not None:
         _write(found, series)
@@ -67,7 +67,7 @@ def command(
         _print(found)
 
 
-def _sets(path: Path) -> list[Mapping[str, object]]:
+def sets_of_file(path: Path) -> list[Mapping[str, object]]:
     """Return the parameter sets of a file: one, a list, or what the service answers.
 
     Raises

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
@@ -32,6 +32,7 @@ from app.http.dependencies import Blobs, Db
 from app.http.entity_tags import UNCHANGED, revalidated
 from app.http.schemas import Page, utc_text
 from app.indices.repository import sources_of_record
+from app.monitoring.trends import StoredSets, stored_sets, trend_of
 from app.orbits.parsing import orbit_of
 from app.orbits.repository import OrbitRepository
 from app.parameter_sets.bias_paths import path_of_set
@@ -49,7 +50,11 @@ from app.sessions.repository import SessionRepository, samples_of
 from app.storage.database import Database
 from app.storage.store import Store, residuals_key
 from magcal_core.calibration.residuals import ResidualTable
+from magcal_core.errors import OptionError, TooFewSetsError
 from magcal_core.samples import Samples
+
+if TYPE_CHECKING:
+    from app.reporting.in_time import SensorInTime
 
 router = APIRouter(tags=["displays"])
 
@@ -235,11 +240,22 @@ def get_report(
     record: ParameterSetRecord = record_of(row)
     with db.read() as session:
         record["session_ids"] = ParameterSetRepository(session, caller).session_ids([row])[row.id]
+        sets = stored_sets(session, row.satellite_id, row.magnetometer_id)
     impact = pointing_impact(parameter_set_id, caller, db) if query.pointing else None
-    page = render_report(record, _residuals(row, db, store), made_at=_now(), pointing=impact)
+    table, in_time = _residuals(row, db, store), _in_time(sets)
+    page = render_report(record, table, made_at=_now(), pointing=impact, in_time=in_time)
     name = f"magcal-{row.satellite_id}-{row.magnetometer_id}-{row.id}.html"
     headers = {"Content-Security-Policy": REPORT_POLICY, "Content-Disposition": f'inline; filename="{name}"'}
     return Response(page, media_type="text/html; charset=utf-8", headers=headers)
+
+
+def _in_time(sets: StoredSets) -> SensorInTime:
+    from app.reporting.in_time import SensorInTime
+
+    try:
+        return SensorInTime.of_trend(trend_of(sets))
+    except (TooFewSetsError, OptionError) as error:
+        return SensorInTime.untold(error.message)
 
 
 def _now() -> str:

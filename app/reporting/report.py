@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from jinja2 import Environment
     from plotly.graph_objects import Figure
 
+    from app.reporting.in_time import SensorInTime
     from app.reporting.pointing import ImpactRecord
 
 FIGURE_WIDTH: Final = 700
@@ -77,6 +78,7 @@ def render_report(
     *,
     made_at: str | None = None,
     pointing: ImpactRecord | None = None,
+    in_time: SensorInTime | None = None,
 ) -> str:
     """Return the report of ``record`` as one HTML document that needs nothing else.
 
@@ -88,8 +90,10 @@ def render_report(
         When the report was made, as text; the caller reads the clock.
     pointing : ImpactRecord, optional
         What the parameter set buys, as `app.reporting.pointing.pointing_of` finds it; None leaves that section out.
+    in_time : SensorInTime, optional
+        The trend of the magnetometer's parameter sets; None leaves that section out.
     """
-    plates = _plates(record, residuals)
+    plates = _plates(record, residuals) + _trend_plates(in_time)
     return (
         _environment()
         .get_template("report.html")
@@ -104,6 +108,7 @@ def render_report(
             document_json=script_json(json.dumps(record, indent=1)),
             made_at=made_at,
             pointing=pointing,
+            in_time=in_time,
             plotly_js=plotly_source() if plates else "",
             title=_title(record),
             policy=POLICY,
@@ -238,6 +243,19 @@ def _plates(record: ParameterSetRecord, residuals: ResidualTable | None) -> list
         caption = "A model is taken for its cross-validated residual, never for its residual in the fit."
         made.append(("ablation", "Models that were tried", caption, figures.ablation_bar(rows)))
     return [Plate(key, title, caption, _sized_json(figure)) for key, title, caption, figure in made]
+
+
+def _trend_plates(in_time: SensorInTime | None) -> list[Plate]:
+    from plotly.graph_objects import Figure
+
+    if in_time is None or in_time.figure is None:
+        return []
+    caption = (
+        "All parameter sets of the magnetometer with 95 % bars, hollow where they do not count; the band holds the "
+        "parameters in 95 of 100 cases. Below: what the set in force is off by at most, and when it passes the limit."
+    )
+    figure = _sized_json(Figure(in_time.figure))
+    return [Plate("trend", "The parameters in time", caption, figure)]
 
 
 def _residual_plates(residuals: ResidualTable, index: figures.IndexSeries | None) -> list[tuple[str, str, str, Figure]]:

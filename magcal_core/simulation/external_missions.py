@@ -58,9 +58,9 @@ def external_session(index: Index, inclination_deg: float, seed: int) -> Externa
     rc = index.between(begin_ns - _WARM_UP_NS, begin_ns + 5 * HOUR_NS)
     t_s = STEP_S * np.arange(SAMPLES, dtype=np.float64)
     t_utc = np.datetime64(begin_ns, "ns") + (t_s * 1e9).astype("timedelta64[ns]")
-    r_km = _circular_km(random, inclination_deg, t_s)
+    r_km = circular_orbit_km(random, inclination_deg, t_s)
     b_nt = _field_nt(random, rc, t_utc, r_km)
-    sensor = SensorModel(random.uniform(-5000, 5000, 3), random.uniform(0.95, 1.05, 3), random.uniform(-3.0, 3.0, 3))
+    sensor = drawn_sensor(random)
     body = Tumbling(np.array([0.08, 0.1, 0.06]), random.normal(0.0, 0.012, 3), unit(random.normal(size=4)))
     h_nt = sensor.apply(rotate(body.motion(t_s)[0], b_nt)) + random.normal(0.0, NOISE_NT, (SAMPLES, 3))
     none = np.full(rc.rows, np.nan)
@@ -87,8 +87,13 @@ def _field_nt(random: np.random.Generator, rc: Index, t_utc: Times, r_km: Floats
     return model.field_itrf_nt(t_utc, r_km) + random.normal(0.0, OTHER_NT, 3)
 
 
-def _circular_km(random: np.random.Generator, inclination_deg: float, t_s: Floats) -> Floats:
-    """Return positions on a circular orbit, shape (n, 3), in axes that turn with the Earth, km."""
+def drawn_sensor(random: np.random.Generator) -> SensorModel:
+    """Return a sensor of 5 %, 3 deg and 5 uT."""
+    return SensorModel(random.uniform(-5000, 5000, 3), random.uniform(0.95, 1.05, 3), random.uniform(-3.0, 3.0, 3))
+
+
+def circular_orbit_km(random: np.random.Generator, inclination_deg: float, t_s: Floats) -> Floats:
+    """Return positions on a circular orbit 300 to 1500 km high at ``t_s``, shape (n,), s: shape (n, 3), ITRF, km."""
     radius_km = EARTH_RADIUS_MAGNETIC_KM + random.uniform(300.0, 1500.0)
     along = random.uniform(0.0, 2 * np.pi) + np.sqrt(EARTH_GM_KM3_S2 / radius_km**3) * t_s
     node = random.uniform(0.0, 2 * np.pi) - EARTH_ROTATION_RAD_S * t_s
