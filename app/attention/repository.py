@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from typing import Any, Final
 
@@ -20,11 +20,13 @@ from app.attention.schemas import (
     AttentionPage,
     AttentionQuery,
     AttentionRead,
+    AttentionShort,
+    AttentionShortPage,
     LinksRead,
 )
 from app.attention.tables import AttentionAcknowledgement
 from app.errors import NotFoundError
-from app.http.paging import CursorError
+from app.http.paging import CursorError, in_short
 from app.parameter_sets.tables import ParameterSet
 from app.satellites.repository import within_reach
 from app.storage.database import utc_now
@@ -53,23 +55,24 @@ class AttentionRepository:
         every = [entry for one in standings for entry in one.entries]
         return counted(every, {entry.id for entry in every if holds(known, entry)})
 
-    def page(self, query: AttentionQuery) -> AttentionPage:
-        """Return a part of the entries, the worst first, those that are acknowledged behind the others."""
+    def page(self, query: AttentionQuery) -> AttentionPage | AttentionShortPage:
+        """Return a part of the entries, those that are acknowledged behind the others."""
         standings, known = self.standings()
         every = [entry for one in standings for entry in one.entries]
         seen = {entry.id for entry in every if holds(known, entry)}
-        fitting = sorted(
-            (one for one in every if _fits(one, query, one.id in seen)), key=lambda one: (one.id in seen, one.rank)
-        )
+        held = every
+        if query.q is not None:
+            held = [entry for one in standings for entry in one.entries if _has(one, entry, query.q)]
+        fitting = _ordered([one for one in held if _fits(one, query, one.id in seen)], query.sort, seen)
         begin = _begin(fitting, query.cursor)
         shown = fitting[begin : begin + query.limit]
-        is_more = begin + query.limit < len(fitting)
-        return AttentionPage(
-            items=self._read(shown, known),
-            next=shown[-1].id if is_more else None,
-            total=len(fitting) if query.total else None,
-            counts=counted(every, seen),
-        )
+        after = shown[-1].id if begin + query.limit < len(fitting) else None
+        total, counts = len(fitting) if query.total else None, counted(every, seen)
+        items = self._read(shown, known)
+        if query.view == "full":
+            return AttentionPage(items=items, next=after, total=total, counts=counts)
+        short = [in_short(one, AttentionShort) for one in items]
+        return AttentionShortPage(items=short, next=after, total=total, counts=counts)
 
     def acknowledge(self, entry_id: str, body: AcknowledgeBody) -> AttentionRead:
         """Return the entry ``entry_id``, acknowledged by the caller."""
@@ -138,6 +141,25 @@ def _fits(entry: Entry, query: AttentionQuery, is_seen: bool) -> bool:
         (query.session, finding.links.get("session_id")),
     )
     return all(wanted is None or wanted == is_so for wanted, is_so in asked)
+
+
+def _has(standing: Standing, entry: Entry, q: str) -> bool:
+    """Return whether an entry, or what it is of, has the text ``q`` in a name."""
+    names = (entry.code, entry.satellite_id, standing.situation.satellite_name, entry.magnetometer_id)
+    return any(name is not None and q.casefold() in name.casefold() for name in names)
+
+
+ORDERS: Final[Mapping[str, Callable[[Entry], tuple[object, ...]]]] = {
+    "worst": lambda one: one.rank,
+    "since": lambda one: (one.finding.since, one.id),
+    "satellite": lambda one: (one.satellite_id, one.magnetometer_id, one.rank),
+}
+
+
+def _ordered(entries: Sequence[Entry], sort: str, seen: set[str]) -> list[Entry]:
+    """Return ``entries`` in the order ``sort``, those that are ``seen`` behind the others."""
+    found = sorted(entries, key=ORDERS[sort.removeprefix("-")], reverse=sort.startswith("-"))
+    return sorted(found, key=lambda one: one.id in seen)
 
 
 def _begin(entries: Sequence[Entry], cursor: str | None) -> int:
