@@ -11,6 +11,7 @@ from sqlalchemy.orm import Session
 
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
+from app.access.key_tables import ApiKey
 from app.attention.entries import Entry, Fleet, Standing
 from app.attention.schemas import (
     AcknowledgeBody,
@@ -104,7 +105,16 @@ class AttentionRepository:
 
     def _read(self, entries: Sequence[Entry], known: Acknowledged) -> list[AttentionRead]:
         reasons = self._reasons([one for one in entries if one.code in WITH_REASON])
-        return [_read(one, known.get(one.id) if holds(known, one) else None, reasons) for one in entries]
+        seen = {one.id: known[one.id] for one in entries if holds(known, one)}
+        authors = self._authors({row.by for row in seen.values()} - {None})
+        return [_read(one, _acknowledgement(seen.get(one.id), authors), reasons) for one in entries]
+
+    def _authors(self, key_ids: set[str | None]) -> dict[str, str | None]:
+        """Return the name of each of the keys."""
+        if not key_ids:
+            return {}
+        rows = self.session.execute(select(ApiKey.id, ApiKey.name).where(ApiKey.id.in_(key_ids)))
+        return dict(rows.all())
 
     def _reasons(self, entries: Sequence[Entry]) -> dict[str, str]:
         """Return the first reason of each set that ``entries`` are about."""
@@ -178,7 +188,15 @@ def _begin(entries: Sequence[Entry], cursor: str | None) -> int:
     raise CursorError("the entry that the list was to go on behind is over: begin anew")
 
 
-def _read(entry: Entry, seen: AttentionAcknowledgement | None, reasons: dict[str, str]) -> AttentionRead:
+def _acknowledgement(
+    row: AttentionAcknowledgement | None, authors: Mapping[str, str | None]
+) -> AcknowledgementRead | None:
+    if row is None:
+        return None
+    return AcknowledgementRead(by=row.by, author=authors.get(row.by or ""), at=row.at, until=row.until, note=row.note)
+
+
+def _read(entry: Entry, seen: AcknowledgementRead | None, reasons: dict[str, str]) -> AttentionRead:
     finding = entry.finding
     reason = reasons.get(finding.links.get("parameter_set_id", "")) if entry.code in WITH_REASON else None
     action = finding.action
@@ -192,5 +210,5 @@ def _read(entry: Entry, seen: AttentionAcknowledgement | None, reasons: dict[str
         since=finding.since,
         links=LinksRead(**finding.links),
         action=None if action is None else ActionRead.model_validate(action),
-        acknowledged=None if seen is None else AcknowledgementRead.model_validate(seen),
+        acknowledged=seen,
     )

@@ -41,6 +41,7 @@ class AcknowledgementRead(Record):
     """Who has seen an entry."""
 
     by: str | None
+    author: str | None = Field(description="Name of that key.")
     at: UtcTime
     until: UtcTime | None
     note: str | None
