@@ -7,9 +7,11 @@ from typing import Annotated, Any, Final
 from fastapi import APIRouter, Query, Response
 
 from app.aboard.repository import AboardRepository
-from app.aboard.schemas import AboardBody, AboardHistory, AboardRead
+from app.aboard.schemas import AboardBody, AboardQuery, AboardRead, AboardShort
 from app.access.authentication import Operator, Reader
 from app.http.dependencies import Db
+from app.http.paging import answered
+from app.http.schemas import Page
 from app.http.strict_json import StrictJsonRoute
 from app.parameter_sets.export_formats import EXPORTERS
 from app.parameter_sets.schemas import ExportQuery
@@ -40,8 +42,8 @@ def report_aboard(parameter_set_id: str, body: AboardBody, caller: Operator, db:
         return AboardRepository(session, caller).report(parameter_set_id, body)
 
 
-@router.get("/{parameter_set_id}/aboard")
-def list_aboard(parameter_set_id: str, caller: Reader, db: Db) -> AboardHistory:
+@router.get("/{parameter_set_id}/aboard", response_model=Page[AboardRead] | Page[AboardShort])
+def list_aboard(parameter_set_id: str, query: Annotated[AboardQuery, Query()], caller: Reader, db: Db) -> Response:
     """List what is known of a parameter set's way into orbit, the newest first."""
     with db.read() as session:
-        return AboardHistory(items=AboardRepository(session, caller).history(parameter_set_id))
+        return answered(AboardRepository(session, caller).history(parameter_set_id, query))

@@ -13,10 +13,12 @@ from sqlalchemy.orm import Session
 
 from app.aboard.comparison import Comparison, compare, flies
 from app.aboard.reading import ReadBackError, read_back
-from app.aboard.schemas import AboardBody, AboardRead
+from app.aboard.schemas import AboardBody, AboardQuery, AboardRead, AboardShort
 from app.aboard.tables import AboardReport
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
+from app.http.paging import Ways, fetch_page, page_of
+from app.http.schemas import Page
 from app.parameter_sets.export import exported
 from app.parameter_sets.export_formats import EXPORTERS
 from app.parameter_sets.repository import ParameterSetRepository
@@ -27,7 +29,7 @@ from app.storage.database import new_id, utc_now
 FEWEST_NUMBERS: Final = 6
 MOST_SETS: Final = 200
 """Older sets that what is aboard is compared with, the newest of them."""
-MOST_REPORTS: Final = 100
+REPORTS: Final = Ways({"created": (AboardReport.id,)}, searched=(AboardReport.state, AboardReport.created_by))
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,11 +79,12 @@ class AboardRepository:
         known = select(AboardReport.id).where(AboardReport.parameter_set_id == row.id).limit(1)
         return row.status == "active" and self.session.scalar(known) is None
 
-    def history(self, parameter_set_id: str) -> list[AboardRead]:
-        """Return the reports on a parameter set, the newest first."""
+    def history(self, parameter_set_id: str, query: AboardQuery) -> Page[AboardRead] | Page[AboardShort]:
+        """Return a part of the reports on a parameter set."""
         row = self._sets.get(parameter_set_id)
         mine = select(AboardReport).where(AboardReport.parameter_set_id == row.id)
-        return [_read(one) for one in self.session.scalars(mine.order_by(AboardReport.id.desc()).limit(MOST_REPORTS))]
+        found = fetch_page(self.session, mine, REPORTS, query)
+        return page_of([_read(one) for one in found.rows], found, query, AboardShort)
 
     def _compared(self, row: ParameterSet, form: str, convention: str, aboard: Mapping[str, Decimal]) -> Comparison:
         """Return how the numbers of an export that is read the same way stand to those that were read back."""

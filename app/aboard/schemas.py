@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from app.aboard.reading import READERS
-from app.http.schemas import Body, OneOf, Record, UtcTime
+from app.http.schemas import Body, NewestFirst, OneOf, Record, Search, UtcTime
 
 Form = Annotated[str, OneOf(READERS)]
 
@@ -40,19 +40,24 @@ class DifferenceRead(Record):
     effect_deg: float | None
 
 
-class AboardRead(Record):
-    """How what is aboard stands to the parameter set."""
+class AboardQuery(NewestFirst):
+    """Which reports to list."""
+
+    q: Search | None = Field(None, description="Part of a state, or of the id of the key that made the report.")
+
+
+class AboardShort(Record):
+    """How what is aboard stands to the parameter set, without the numbers, in under 500 bytes."""
 
     state: Literal["exported", "uploaded", "confirmed", "rounded", "different"]
-    differences: list[DifferenceRead]
-    effect_nt: float | None = Field(description="Of all differences together.")
+    effect_nt: float | None = Field(description="On the corrected field, of all differences together, nT.")
     effect_deg: float | None
     matches_parameter_set_id: str | None = Field(description="Another set of the magnetometer that it is instead.")
     created_at: UtcTime
     created_by: str | None
 
 
-class AboardHistory(Record):
-    """What is known of a parameter set's way into orbit, the newest first."""
+class AboardRead(AboardShort):
+    """How what is aboard stands to the parameter set."""
 
-    items: list[AboardRead]
+    differences: list[DifferenceRead]

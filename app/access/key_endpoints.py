@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Final
 
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Query, Request, Response
 from sqlalchemy import select
 
 from app.access.audit_trail import AuditEvent
 from app.access.authentication import AccessServices, Administrator
 from app.access.caller import Caller
 from app.access.key_repository import KeyRepository
-from app.access.key_schemas import AuditRead, KeyCreate, KeyCreated, KeyRead
+from app.access.key_schemas import AuditQuery, AuditRead, AuditShort, KeyCreate, KeyCreated, KeyQuery, KeyRead, KeyShort
 from app.errors import ScopeRequiredError
 from app.http.dependencies import Db
-from app.http.paging import fetch_page
-from app.http.schemas import Page, PageQuery
+from app.http.paging import Ways, answered, fetch_page, page_of
+from app.http.schemas import Page
 from app.http.services import services_of
 from app.http.strict_json import StrictJsonRoute
+from app.storage.database import Database
 
 router = APIRouter(route_class=StrictJsonRoute, tags=["keys"])
+
+TRAIL: Final = Ways(
+    {"at": (AuditEvent.id,)},
+    searched=(AuditEvent.action, AuditEvent.subject, AuditEvent.satellite_id, AuditEvent.key_id, AuditEvent.reason),
+)
 
 
 def refuse_bound(caller: Caller) -> None:
@@ -37,13 +43,18 @@ def create_key(body: KeyCreate, caller: Administrator, db: Db) -> KeyCreated:
     return KeyCreated(key=made.key, **KeyRead.model_validate(made.row).model_dump())
 
 
-@router.get("/keys")
-def list_keys(query: Annotated[PageQuery, Query()], caller: Administrator, db: Db) -> Page[KeyRead]:
+@router.get("/keys", response_model=Page[KeyRead] | Page[KeyShort])
+def list_keys(query: Annotated[KeyQuery, Query()], caller: Administrator, db: Db) -> Response:
     """List the keys, the newest first."""
+    return answered(keys_now(query, caller, db))
+
+
+def keys_now(query: KeyQuery, caller: Caller, db: Database) -> Page[KeyRead] | Page[KeyShort]:
+    """Return a part of the keys."""
     refuse_bound(caller)
     with db.read() as session:
-        rows, cursor, total = KeyRepository(session, caller).page(query)
-    return Page(items=[KeyRead.model_validate(row) for row in rows], next=cursor, total=total)
+        found = KeyRepository(session, caller).page(query)
+    return page_of([KeyRead.model_validate(row) for row in found.rows], found, query, KeyShort)
 
 
 @router.post("/keys/{key_id}/revoke")
@@ -56,10 +67,10 @@ def revoke_key(key_id: str, request: Request, caller: Administrator, db: Db) -> 
     return revoked
 
 
-@router.get("/audit")
-def list_audit(query: Annotated[PageQuery, Query()], caller: Administrator, db: Db) -> Page[AuditRead]:
+@router.get("/audit", response_model=Page[AuditRead] | Page[AuditShort])
+def list_audit(query: Annotated[AuditQuery, Query()], caller: Administrator, db: Db) -> Response:
     """List who did what, the newest first."""
     refuse_bound(caller)
     with db.read() as session:
-        rows, cursor, total = fetch_page(session, select(AuditEvent), (AuditEvent.id,), query)
-    return Page(items=[AuditRead.model_validate(row) for row in rows], next=cursor, total=total)
+        found = fetch_page(session, select(AuditEvent), TRAIL, query)
+    return answered(page_of([AuditRead.model_validate(row) for row in found.rows], found, query, AuditShort))

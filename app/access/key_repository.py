@@ -15,15 +15,16 @@ from sqlalchemy.orm import Session
 
 from app.access.audit_trail import record_event
 from app.access.caller import SYSTEM, Caller
+from app.access.key_schemas import KeyQuery
 from app.access.key_tables import ApiKey, Login
 from app.errors import NotFoundError
-from app.http.paging import Part, fetch_page
-from app.http.schemas import PageQuery
+from app.http.paging import Part, Ways, fetch_page
 from app.storage.database import utc_now
 
 KEY_FORM: Final = re.compile(r"mgc_([0-9a-f]{16})_([A-Za-z0-9_-]{43})", re.ASCII)
 SECRET_BYTES: Final = 32
 LOGIN_LENGTH: Final = 43
+HELD: Final = Ways({"created": (ApiKey.created_at, ApiKey.id)}, searched=(ApiKey.id, ApiKey.name))
 KEYS: Final = ApiKey.metadata.tables["api_key"].c
 ANYTHING: Final = select(literal(1).label("one")).subquery()
 HOLDER: Final = select(
@@ -101,9 +102,9 @@ class KeyRepository:
             record_event(self.session, self.caller, "key.revoke", key_id)
         return row
 
-    def page(self, query: PageQuery) -> Part[ApiKey]:
-        """Return a part of the keys, the newest first."""
-        return fetch_page(self.session, select(ApiKey), (ApiKey.created_at, ApiKey.id), query)
+    def page(self, query: KeyQuery) -> Part[ApiKey]:
+        """Return a part of the keys."""
+        return fetch_page(self.session, select(ApiKey), HELD, query)
 
     def is_empty(self) -> bool:
         """Return whether there has never been a key."""

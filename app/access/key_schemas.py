@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from app.http.schemas import Body, Name, Record, Slug, UtcTime
+from app.http.schemas import Body, Name, NewestFirst, PageQuery, Record, Search, Slug, UtcTime
 
 ScopeName = Literal["read", "ingest", "operate", "admin"]
 
@@ -20,17 +20,28 @@ class KeyCreate(Body):
     name: Name | None = None
 
 
-class KeyRead(Record):
-    """A key without its secret, which nobody knows but its holder."""
+class KeyQuery(NewestFirst):
+    """Which keys to list."""
+
+    q: Search | None = Field(None, description="Part of an id or name.")
+
+
+class KeyShort(Record):
+    """A key without the satellites that it is bound to, in under 500 bytes."""
 
     id: str
     name: str | None
     scopes: list[str]
-    satellites: list[str] | None
     created_at: UtcTime
     created_by: str | None
     expires_at: UtcTime | None
     revoked_at: UtcTime | None
+
+
+class KeyRead(KeyShort):
+    """A key without its secret, which nobody knows but its holder."""
+
+    satellites: list[str] | None
 
 
 class KeyCreated(KeyRead):
@@ -39,8 +50,15 @@ class KeyCreated(KeyRead):
     key: str
 
 
-class AuditRead(Record):
-    """One line of the audit trail."""
+class AuditQuery(PageQuery):
+    """Which lines of the audit trail to list."""
+
+    q: Search | None = Field(None, description="Part of an action, subject, satellite, key's id or reason.")
+    sort: Literal["at", "-at"] = Field("-at", description="`-at`: the newest first.")
+
+
+class AuditShort(Record):
+    """One line of the audit trail without the reason, in under 500 bytes."""
 
     id: str
     at: UtcTime
@@ -50,4 +68,9 @@ class AuditRead(Record):
     satellite_id: str | None
     address: str | None
     request_id: str | None
+
+
+class AuditRead(AuditShort):
+    """One line of the audit trail."""
+
     reason: str | None = Field(description="In the words of who did it, where the call asks for one.")

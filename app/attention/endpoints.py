@@ -12,7 +12,16 @@ from app.access.caller import Caller
 from app.attention.entries import Fleet
 from app.attention.fleet import fleet_page
 from app.attention.repository import AttentionRepository
-from app.attention.schemas import AcknowledgeBody, AttentionPage, AttentionQuery, AttentionRead, FleetPage, FleetQuery
+from app.attention.schemas import (
+    AcknowledgeBody,
+    AttentionPage,
+    AttentionQuery,
+    AttentionRead,
+    AttentionShortPage,
+    FleetPage,
+    FleetQuery,
+    FleetShortPage,
+)
 from app.http.dependencies import Db
 from app.http.entity_tags import UNCHANGED, revalidated
 from app.http.schemas import Identifier
@@ -37,7 +46,7 @@ async def _fleet(request: Request) -> Fleet:
 Known = Annotated[Fleet, Depends(_fleet)]
 
 
-@router.get("/attention", response_model=AttentionPage, responses=UNCHANGED)
+@router.get("/attention", response_model=AttentionPage | AttentionShortPage, responses=UNCHANGED)
 def list_attention(
     query: Annotated[AttentionQuery, Query()], request: Request, caller: Reader, db: Db, fleet: Known
 ) -> Response:
@@ -45,7 +54,9 @@ def list_attention(
     return revalidated(request, attention_now(query, caller, db, fleet))
 
 
-def attention_now(query: AttentionQuery, caller: Caller, db: Database, fleet: Fleet) -> AttentionPage:
+def attention_now(
+    query: AttentionQuery, caller: Caller, db: Database, fleet: Fleet
+) -> AttentionPage | AttentionShortPage:
     """Return what needs attention."""
     with db.read() as session:
         return AttentionRepository(session, caller, fleet).page(query)
@@ -60,7 +71,7 @@ def acknowledge_attention(
         return AttentionRepository(session, caller, fleet).acknowledge(entry_id, body)
 
 
-@router.get("/fleet", response_model=FleetPage, responses=UNCHANGED)
+@router.get("/fleet", response_model=FleetPage | FleetShortPage, responses=UNCHANGED)
 def list_fleet(
     query: Annotated[FleetQuery, Query()], request: Request, caller: Reader, db: Db, fleet: Known
 ) -> Response:
@@ -68,7 +79,7 @@ def list_fleet(
     return revalidated(request, fleet_now(query, caller, db, fleet))
 
 
-def fleet_now(query: FleetQuery, caller: Caller, db: Database, fleet: Fleet) -> FleetPage:
+def fleet_now(query: FleetQuery, caller: Caller, db: Database, fleet: Fleet) -> FleetPage | FleetShortPage:
     """Return the fleet at a glance."""
     with db.read() as session:
         return fleet_page(AttentionRepository(session, caller, fleet), query)

@@ -8,7 +8,16 @@ from typing import Final
 
 from app.attention.entries import Standing
 from app.attention.repository import Acknowledged, AttentionRepository, holds
-from app.attention.schemas import FacetsRead, FleetPage, FleetQuery, FleetRow, LastFailure
+from app.attention.schemas import (
+    FacetsRead,
+    FleetPage,
+    FleetQuery,
+    FleetRow,
+    FleetShort,
+    FleetShortPage,
+    LastFailure,
+)
+from app.http.paging import in_short
 
 STATES: Final = ("act", "watch", "good")
 GRADES: Final = ("refuse", "weak", "accept", None)
@@ -20,7 +29,7 @@ FACETS: Final[Mapping[str, Callable[[FleetRow], str]]] = {
 Key = float | str | None
 
 
-def fleet_page(attention: AttentionRepository, query: FleetQuery) -> FleetPage:
+def fleet_page(attention: AttentionRepository, query: FleetQuery) -> FleetPage | FleetShortPage:
     """Return a part of the fleet; each facet is counted within the search and the other facets."""
     standings, known = attention.standings()
     wanted = (query.q or "").casefold().strip()
@@ -29,17 +38,18 @@ def fleet_page(attention: AttentionRepository, query: FleetQuery) -> FleetPage:
     ordered = _ordered(fitting, query.sort)
     begin = int(query.cursor or 0)
     end = begin + query.limit
-    return FleetPage(
-        items=ordered[begin:end],
-        next=str(end) if end < len(ordered) else None,
-        total=len(ordered),
-        facets=FacetsRead(
-            **{
-                name: dict(Counter(of(row) for row in rows if _fits(row, query, without=name)))
-                for name, of in FACETS.items()
-            }
-        ),
+    items, after = ordered[begin:end], str(end) if end < len(ordered) else None
+    total = len(ordered) if query.total else None
+    facets = FacetsRead(
+        **{
+            name: dict(Counter(of(row) for row in rows if _fits(row, query, without=name)))
+            for name, of in FACETS.items()
+        }
     )
+    if query.view == "full":
+        return FleetPage(items=items, next=after, total=total, facets=facets)
+    short = [in_short(row, FleetShort) for row in items]
+    return FleetShortPage(items=short, next=after, total=total, facets=facets)
 
 
 def _searched(one: Standing) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from typing import Any, Final
 
@@ -11,6 +11,7 @@ from sqlalchemy.orm import Session
 
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
+from app.access.key_tables import ApiKey
 from app.attention.entries import Entry, Fleet, Standing
 from app.attention.schemas import (
     AcknowledgeBody,
@@ -20,11 +21,13 @@ from app.attention.schemas import (
     AttentionPage,
     AttentionQuery,
     AttentionRead,
+    AttentionShort,
+    AttentionShortPage,
     LinksRead,
 )
 from app.attention.tables import AttentionAcknowledgement
 from app.errors import NotFoundError
-from app.http.paging import CursorError
+from app.http.paging import CursorError, in_short
 from app.parameter_sets.tables import ParameterSet
 from app.satellites.repository import within_reach
 from app.storage.database import utc_now
@@ -53,23 +56,24 @@ class AttentionRepository:
         every = [entry for one in standings for entry in one.entries]
         return counted(every, {entry.id for entry in every if holds(known, entry)})
 
-    def page(self, query: AttentionQuery) -> AttentionPage:
-        """Return a part of the entries, the worst first, those that are acknowledged behind the others."""
+    def page(self, query: AttentionQuery) -> AttentionPage | AttentionShortPage:
+        """Return a part of the entries, those that are acknowledged behind the others."""
         standings, known = self.standings()
         every = [entry for one in standings for entry in one.entries]
         seen = {entry.id for entry in every if holds(known, entry)}
-        fitting = sorted(
-            (one for one in every if _fits(one, query, one.id in seen)), key=lambda one: (one.id in seen, one.rank)
-        )
+        held = every
+        if query.q is not None:
+            held = [entry for one in standings for entry in one.entries if _has(one, entry, query.q)]
+        fitting = _ordered([one for one in held if _fits(one, query, one.id in seen)], query.sort, seen)
         begin = _begin(fitting, query.cursor)
         shown = fitting[begin : begin + query.limit]
-        is_more = begin + query.limit < len(fitting)
-        return AttentionPage(
-            items=self._read(shown, known),
-            next=shown[-1].id if is_more else None,
-            total=len(fitting) if query.total else None,
-            counts=counted(every, seen),
-        )
+        after = shown[-1].id if begin + query.limit < len(fitting) else None
+        total, counts = len(fitting) if query.total else None, counted(every, seen)
+        items = self._read(shown, known)
+        if query.view == "full":
+            return AttentionPage(items=items, next=after, total=total, counts=counts)
+        short = [in_short(one, AttentionShort) for one in items]
+        return AttentionShortPage(items=short, next=after, total=total, counts=counts)
 
     def acknowledge(self, entry_id: str, body: AcknowledgeBody) -> AttentionRead:
         """Return the entry ``entry_id``, acknowledged by the caller."""
@@ -101,7 +105,16 @@ class AttentionRepository:
 
     def _read(self, entries: Sequence[Entry], known: Acknowledged) -> list[AttentionRead]:
         reasons = self._reasons([one for one in entries if one.code in WITH_REASON])
-        return [_read(one, known.get(one.id) if holds(known, one) else None, reasons) for one in entries]
+        seen = {one.id: known[one.id] for one in entries if holds(known, one)}
+        authors = self._authors({row.by for row in seen.values()} - {None})
+        return [_read(one, _acknowledgement(seen.get(one.id), authors), reasons) for one in entries]
+
+    def _authors(self, key_ids: set[str | None]) -> dict[str, str | None]:
+        """Return the name of each of the keys."""
+        if not key_ids:
+            return {}
+        rows = self.session.execute(select(ApiKey.id, ApiKey.name).where(ApiKey.id.in_(key_ids)))
+        return dict(rows.all())
 
     def _reasons(self, entries: Sequence[Entry]) -> dict[str, str]:
         """Return the first reason of each set that ``entries`` are about."""
@@ -140,6 +153,25 @@ def _fits(entry: Entry, query: AttentionQuery, is_seen: bool) -> bool:
     return all(wanted is None or wanted == is_so for wanted, is_so in asked)
 
 
+def _has(standing: Standing, entry: Entry, q: str) -> bool:
+    """Return whether an entry, or what it is of, has the text ``q`` in a name."""
+    names = (entry.code, entry.satellite_id, standing.situation.satellite_name, entry.magnetometer_id)
+    return any(name is not None and q.casefold() in name.casefold() for name in names)
+
+
+ORDERS: Final[Mapping[str, Callable[[Entry], tuple[object, ...]]]] = {
+    "worst": lambda one: one.rank,
+    "since": lambda one: (one.finding.since, one.id),
+    "satellite": lambda one: (one.satellite_id, one.magnetometer_id, one.rank),
+}
+
+
+def _ordered(entries: Sequence[Entry], sort: str, seen: set[str]) -> list[Entry]:
+    """Return ``entries`` in the order ``sort``, those that are ``seen`` behind the others."""
+    found = sorted(entries, key=ORDERS[sort.removeprefix("-")], reverse=sort.startswith("-"))
+    return sorted(found, key=lambda one: one.id in seen)
+
+
 def _begin(entries: Sequence[Entry], cursor: str | None) -> int:
     """Return where the part behind ``cursor``, the id of an entry, begins.
 
@@ -156,7 +188,15 @@ def _begin(entries: Sequence[Entry], cursor: str | None) -> int:
     raise CursorError("the entry that the list was to go on behind is over: begin anew")
 
 
-def _read(entry: Entry, seen: AttentionAcknowledgement | None, reasons: dict[str, str]) -> AttentionRead:
+def _acknowledgement(
+    row: AttentionAcknowledgement | None, authors: Mapping[str, str | None]
+) -> AcknowledgementRead | None:
+    if row is None:
+        return None
+    return AcknowledgementRead(by=row.by, author=authors.get(row.by or ""), at=row.at, until=row.until, note=row.note)
+
+
+def _read(entry: Entry, seen: AcknowledgementRead | None, reasons: dict[str, str]) -> AttentionRead:
     finding = entry.finding
     reason = reasons.get(finding.links.get("parameter_set_id", "")) if entry.code in WITH_REASON else None
     action = finding.action
@@ -170,5 +210,5 @@ def _read(entry: Entry, seen: AttentionAcknowledgement | None, reasons: dict[str
         since=finding.since,
         links=LinksRead(**finding.links),
         action=None if action is None else ActionRead.model_validate(action),
-        acknowledged=None if seen is None else AcknowledgementRead.model_validate(seen),
+        acknowledged=seen,
     )

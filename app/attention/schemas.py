@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, JsonValue, StringConstraints
 
 from app.attention.causes.registry import CAUSES
-from app.http.schemas import Body, Filter, Identifier, Page, PageQuery, Record, Slug, UtcTime
+from app.http.schemas import Body, Filter, Identifier, Page, PageQuery, Record, Search, Slug, UtcTime, View
 
 SeverityName = Literal["act", "watch"]
 Grade = Literal["accept", "weak", "refuse"]
@@ -41,21 +41,27 @@ class AcknowledgementRead(Record):
     """Who has seen an entry."""
 
     by: str | None
+    author: str | None = Field(description="Name of that key.")
     at: UtcTime
     until: UtcTime | None
     note: str | None
 
 
-class AttentionRead(Record):
-    """One magnetometer and cause."""
+class AttentionShort(Record):
+    """One magnetometer and cause in under 500 bytes."""
 
     id: str
     satellite_id: str
     magnetometer_id: str
     severity: SeverityName
     code: Code
-    text: str
     since: UtcTime
+
+
+class AttentionRead(AttentionShort):
+    """One magnetometer and cause."""
+
+    text: str
     links: LinksRead
     action: ActionRead | None
     acknowledged: AcknowledgementRead | None
@@ -75,8 +81,19 @@ class AttentionPage(Page[AttentionRead]):
     counts: AttentionCounts
 
 
+class AttentionShortPage(Page[AttentionShort]):
+    """A part of what needs attention in short, with the counts of all that the key may see."""
+
+    counts: AttentionCounts
+
+
 class AttentionQuery(PageQuery):
     """Which entries."""
+
+    q: Search | None = Field(None, description="Part of a code, or of an id or name of a satellite or magnetometer.")
+    sort: Literal["worst", "since", "-since", "satellite", "-satellite"] = Field(
+        "worst", description="`-since`: the newest first; those that are acknowledged stand behind the others."
+    )
 
     severity: SeverityName | None = None
     code: Code | None = None
@@ -102,8 +119,8 @@ class LastFailure(Record):
     at: UtcTime
 
 
-class FleetRow(Record):
-    """One magnetometer at a glance."""
+class FleetShort(Record):
+    """One magnetometer at a glance in under 500 bytes."""
 
     satellite: str
     name: str | None
@@ -111,13 +128,18 @@ class FleetRow(Record):
     state: State = Field(description="The worst that needs attention and that nobody has acknowledged.")
     attention: int = Field(description="Entries that nobody has acknowledged.")
     verdict: Grade | None = Field(description="Of the set in force.")
+    data_until: UtcTime | None
+    agreement: Agreement | None = Field(description="Of that session with the set in force.")
+    residual_nt: float | None = Field(description="Residual of |B| of that session under the set in force, nT.")
+
+
+class FleetRow(FleetShort):
+    """One magnetometer at a glance."""
+
     parameter_set_id: str | None = Field(description="The set in force.")
     in_force_since: UtcTime | None
     session_id: str | None = Field(description="The session with the newest data.")
-    data_until: UtcTime | None
     received_at: UtcTime | None
-    agreement: Agreement | None = Field(description="Of that session with the set in force.")
-    residual_nt: float | None = Field(description="Residual of |B| of that session under the set in force, nT.")
     residual_ratio: float | None
     orbit_epoch: UtcTime | None
     last_failure: LastFailure | None
@@ -135,7 +157,12 @@ class FacetsRead(Record):
 class FleetPage(Page[FleetRow]):
     """A part of the fleet, how many fit, and how many there are of each kind."""
 
-    total: int
+    facets: FacetsRead
+
+
+class FleetShortPage(Page[FleetShort]):
+    """A part of the fleet in short, how many fit, and how many there are of each kind."""
+
     facets: FacetsRead
 
 
@@ -149,5 +176,7 @@ class FleetQuery(Filter):
     sort: Literal[
         "worst", "name", "-name", "data_until", "-data_until", "residual_nt", "-residual_nt", "verdict", "-verdict"
     ] = Field("worst", description="`-` turns the order round; what has no value comes last.")
+    view: View = Field("full", description="`summary`: each item in under 500 bytes.")
+    total: bool = Field(True, description="With how many there are in all parts together.")
     limit: int = Field(50, ge=1, le=1000, description="Most items in the answer.")
     cursor: str | None = Field(None, pattern=r"^\d{1,9}$", examples=["50"], description="`next` of the answer before.")

@@ -19,8 +19,10 @@ from app.dashboard.schemas import (
     HistoryFigureQuery,
     HistoryQuery,
     HistoryRow,
+    HistoryShort,
     OverviewQuery,
     OverviewRow,
+    OverviewShort,
     ReportQuery,
     ResidualQuery,
     ResidualSummary,
@@ -30,6 +32,7 @@ from app.dashboard.schemas import (
 )
 from app.http.dependencies import Blobs, Db
 from app.http.entity_tags import UNCHANGED, revalidated
+from app.http.paging import Part, page_of
 from app.http.schemas import Page, utc_text
 from app.indices.repository import sources_of_record
 from app.monitoring.trends import StoredSets, stored_sets, trend_of
@@ -71,24 +74,26 @@ FIGURES: Final[dict[int | str, dict[str, Any]]] = {
 REPORT: Final[dict[int | str, dict[str, Any]]] = {200: {"description": "The report.", "content": {"text/html": {}}}}
 
 
-@router.get("/overview", response_model=Page[OverviewRow], responses=UNCHANGED)
+@router.get("/overview", response_model=Page[OverviewRow] | Page[OverviewShort], responses=UNCHANGED)
 def get_overview(query: Annotated[OverviewQuery, Query()], request: Request, caller: Reader, db: Db) -> Response:
     """Show every magnetometer with its state at a glance; the limit and the total count satellites."""
     return revalidated(request, overview_now(query, caller, db))
 
 
-def overview_now(query: OverviewQuery, caller: Caller, db: Database) -> Page[OverviewRow]:
+def overview_now(query: OverviewQuery, caller: Caller, db: Database) -> Page[OverviewRow] | Page[OverviewShort]:
     """Return every magnetometer with its state."""
     with db.read() as session:
         satellites = SatelliteRepository(session, caller)
         if query.satellite is not None:
-            rows = overview_rows(session, caller, [satellites.get(query.satellite)])
-            return Page(items=rows, total=1 if query.total else None)
-        found = satellites.page(query)
-        return Page(items=overview_rows(session, caller, found.rows), next=found.cursor, total=found.total)
+            found = Part([satellites.get(query.satellite)], None, 1 if query.total else None)
+        else:
+            found = satellites.page(query)
+        return page_of(overview_rows(session, caller, found.rows), found, query, OverviewShort)
 
 
-@router.get("/satellites/{satellite_id}/history", response_model=Page[HistoryRow], responses=UNCHANGED)
+@router.get(
+    "/satellites/{satellite_id}/history", response_model=Page[HistoryRow] | Page[HistoryShort], responses=UNCHANGED
+)
 def get_history(
     satellite_id: str, query: Annotated[HistoryQuery, Query()], request: Request, caller: Reader, db: Db
 ) -> Response:

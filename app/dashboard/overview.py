@@ -8,8 +8,9 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session, defer
 
 from app.access.caller import Caller
-from app.dashboard.schemas import HistoryQuery, HistoryRow, OverviewRow, SessionState, SetState
+from app.dashboard.schemas import HistoryQuery, HistoryRow, HistoryShort, OverviewRow, SessionState, SetState
 from app.dashboard.set_summaries import Residuals, residuals_of, summaries
+from app.http.paging import Part, page_of
 from app.http.schemas import Page, utc_text
 from app.jobs.tables import Job
 from app.parameter_sets.json_listing import listed
@@ -57,8 +58,10 @@ def overview_rows(session: Session, caller: Caller, satellites: Sequence[Satelli
     return rows
 
 
-def history_rows(session: Session, caller: Caller, satellite_id: str, query: HistoryQuery) -> Page[HistoryRow]:
-    """Return a part of a satellite's parameter sets in flat numbers, the newest first."""
+def history_rows(
+    session: Session, caller: Caller, satellite_id: str, query: HistoryQuery
+) -> Page[HistoryRow] | Page[HistoryShort]:
+    """Return a part of a satellite's parameter sets in flat numbers."""
     wanted = listed(session.connection(), caller, ParameterSetQuery(satellite=satellite_id, **query.model_dump()))
     ids = [set_id for set_id, _ in wanted.sets]
     sessions = _session_ids(session, ids)
@@ -68,7 +71,7 @@ def history_rows(session: Session, caller: Caller, satellite_id: str, query: His
         _history_row(one, sessions[one["id"]], begun.get(one["id"]), replaced.get(one["id"]))
         for one in summaries(session, ids)
     ]
-    return Page(items=rows, next=wanted.cursor, total=wanted.total)
+    return page_of(rows, Part(rows, wanted.cursor, wanted.total), query, HistoryShort)
 
 
 def record_of(row: ParameterSet) -> ParameterSetRecord:

@@ -7,13 +7,13 @@ from typing import Final
 
 from app.access import key_endpoints as keys
 from app.access.caller import Caller, Scope
+from app.access.key_schemas import KeyQuery
 from app.attention import endpoints as attention
 from app.attention.entries import Fleet
 from app.attention.repository import AttentionRepository
 from app.attention.schemas import AttentionCounts, AttentionQuery, FleetQuery
 from app.dashboard import endpoints as displays
 from app.dashboard.schemas import OverviewQuery
-from app.http.schemas import PageQuery
 from app.jobs import endpoints as jobs
 from app.jobs.schemas import JobQuery
 from app.outbox.log import newest_position
@@ -54,7 +54,7 @@ def of_overview(fleet: Fleet) -> Bringer:
     def ask(caller: Caller, database: Database, _texts: Texts) -> Answers:
         entries = attention.attention_now(AttentionQuery(limit=MOST_LINES, total=True), caller, database, fleet)
         rows = attention.fleet_now(FleetQuery(limit=MOST_ROWS), caller, database, fleet)
-        first = rows.model_copy(update={"items": rows.items[:1], "next": "1" if rows.total > 1 else None})
+        first = rows.model_copy(update={"items": rows.items[:1], "next": "1" if len(rows.items) > 1 else None})
         return {
             f"/attention?limit={MOST_LINES}&total=true": entries.model_dump_json(),
             f"/fleet?limit={MOST_ROWS}&sort=worst": rows.model_dump_json(),
@@ -151,4 +151,4 @@ def of_keys(caller: Caller, database: Database, _texts: Texts) -> Answers:
     """Return the keys."""
     if not caller.may(Scope.ADMIN):
         return {}
-    return {f"/keys?limit={MOST}": keys.list_keys(PageQuery(limit=MOST), caller, database).model_dump_json()}
+    return {f"/keys?limit={MOST}": keys.keys_now(KeyQuery(limit=MOST), caller, database).model_dump_json()}

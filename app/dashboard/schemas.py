@@ -6,8 +6,9 @@ from typing import Literal
 
 from pydantic import Field
 
-from app.http.schemas import Filter, Identifier, PageQuery, Record, Slug, UtcTime
-from app.parameter_sets.schemas import Status
+from app.http.schemas import Filter, Identifier, PageQuery, Record, Search, Slug, UtcTime
+from app.parameter_sets.schemas import SET_SORTS, SetSort, Status
+from app.satellites.schemas import SatelliteQuery
 
 Grade = Literal["accept", "weak", "refuse"]
 ThemeName = Literal["light", "dark"]
@@ -38,44 +39,54 @@ class SessionState(Record):
     created_at: UtcTime
 
 
-class OverviewRow(Record):
-    """One magnetometer, or a satellite that has none yet, with its state at a glance."""
+class OverviewShort(Record):
+    """One magnetometer, or a satellite that has none yet, in under 500 bytes."""
 
     satellite: str
     name: str | None
     magnetometer: str | None
-    active: SetState | None
-    newest: SetState | None
-    last_session: SessionState | None
     jobs_waiting: int = Field(description="Jobs of the satellite that wait or run.")
 
 
-class OverviewQuery(PageQuery):
+class OverviewRow(OverviewShort):
+    """One magnetometer, or a satellite that has none yet, with its state at a glance."""
+
+    active: SetState | None
+    newest: SetState | None
+    last_session: SessionState | None
+
+
+class OverviewQuery(SatelliteQuery):
     """Which satellites."""
 
     satellite: Slug | None = None
 
 
-class HistoryRow(Record):
-    """One parameter set in flat numbers, for tables and plots over time; errors are honest standard errors."""
+class HistoryShort(Record):
+    """One parameter set of a history in under 500 bytes."""
 
     id: str
     magnetometer: str
     status: Status
     grade: Grade
     method: str
-    field_model: str
-    orbit_model: str
     data_from: UtcTime
     data_until: UtcTime
     created_at: UtcTime
+    rms_nt: float | None
+
+
+class HistoryRow(HistoryShort):
+    """One parameter set in flat numbers, for tables and plots over time; errors are honest standard errors."""
+
+    field_model: str
+    orbit_model: str
     activated_at: UtcTime | None
     replaced_id: str | None = Field(description="The set that a rollback of this one would bring back.")
     session_ids: list[str]
     options: str = Field(description="Options of the calibration that are not the defaults, in words, empty for none.")
     samples: int
     rms_before_nt: float | None
-    rms_nt: float | None
     cross_validated_rms_nt: float | None
     orbit_age_days: float | None
     bias_1_nt: float | None
@@ -106,6 +117,8 @@ class HistoryQuery(PageQuery):
     status: Status | None = None
     since: UtcTime | None = Field(None, description="Made from data that reach to this time or beyond.")
     until: UtcTime | None = Field(None, description="Made from data that begin at this time or before.")
+    q: Search | None = Field(None, description="Part of an id of the set, its satellite or magnetometer.")
+    sort: SetSort = Field("-created", description=SET_SORTS)
 
 
 class SessionSummary(Record):

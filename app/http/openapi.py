@@ -71,8 +71,7 @@ def _describe(made: Document, prefix: str, routers: Sequence[APIRouter]) -> None
     for name, schema in schemas.items():
         _explain_schema(name, schema)
     for schema in schemas.values():
-        if isinstance(schema, dict) and schema.get("type") == "object":
-            schema["examples"] = [example_of(schema, schemas)]
+        _exemplify(schema, schemas)
     for operations in paths.values():
         for one in operations.values() if isinstance(operations, dict) else ():
             _give_examples(one, schemas)
@@ -135,6 +134,17 @@ def _explain_schema(name: str, schema: JsonValue) -> None:
     for own, one in properties.items() if isinstance(properties, dict) else ():
         if isinstance(one, dict) and "description" not in one and own in words():
             one["description"] = words()[own]
+
+
+def _exemplify(schema: JsonValue, schemas: Mapping[str, JsonValue]) -> None:
+    """Give a schema and each of its properties an example that it allows; a schema that is referred to has its own."""
+    if not isinstance(schema, dict):
+        return
+    properties = schema.get("properties")
+    for name, one in properties.items() if isinstance(properties, dict) else ():
+        if isinstance(one, dict) and not {"examples", "example", "$ref"} & one.keys():
+            one["examples"] = [example_of(one, schemas, name)]
+    schema["examples"] = [example_of(schema, schemas)]
 
 
 def _calls(prefix: str, routers: Sequence[APIRouter]) -> Iterator[tuple[str, str, APIRoute]]:

@@ -15,6 +15,7 @@ from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
 
 from app.errors import ServiceError, StorageFullError, UnavailableError, _without_value
+from app.http.fault_words import fault_in_words
 from app.http.services import HttpServices, services_of
 from app.problems import FaultBody, Problem, problem, problem_of
 from app.storage.retry import AWAY, DAMAGED, is_contention
@@ -81,11 +82,8 @@ def _validation_error(_request: Request, error: Exception) -> JSONResponse:
 
 
 def _why(fault: Mapping[str, object]) -> str:
-    """Return what is wrong, without the value that pydantic repeats where it is to choose between kinds of a body."""
     context = fault.get("ctx")
-    if fault["type"] == "union_tag_invalid" and isinstance(context, Mapping):
-        return f"{context['discriminator']} is not one of {context['expected_tags']}"
-    return str(fault["msg"])
+    return fault_in_words(str(fault["type"]), str(fault["msg"]), context if isinstance(context, Mapping) else {})
 
 
 def _where(path: Sequence[str | int]) -> str:

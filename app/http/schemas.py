@@ -6,7 +6,7 @@ import unicodedata
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Annotated, Final, Generic, TypeVar
+from typing import Annotated, Final, Generic, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,12 +129,24 @@ Search = Annotated[str, StringConstraints(min_length=1, max_length=200), AfterVa
 """Part of a name or an id that a list is searched for."""
 
 
+View = Literal["full", "summary"]
+
+
 class PageQuery(Filter):
-    """Which part of a list."""
+    """Which part of a list, in which order; each list names its orders, and what `q` looks in."""
 
     limit: int = Field(100, ge=1, le=1000, description="Most items in the answer.")
     cursor: str | None = Field(None, max_length=1000, description="`next` of the answer before.")
     total: bool = Field(False, description="With how many there are in all parts together.")
+    q: Search | None = Field(None, description="Part of a text of the items.")
+    sort: str = Field(description="`-` turns the order round.")
+    view: View = Field("full", description="`summary`: each item in under 500 bytes.")
+
+
+class NewestFirst(PageQuery):
+    """Which part of a list that is in the order in which its items were made."""
+
+    sort: Literal["created", "-created"] = Field("-created", description="`-created`: the newest first.")
 
 
 class Page(BaseModel, Generic[Item]):

@@ -64,11 +64,18 @@ def write_table(table: pa.Table, form: str) -> bytes:
     return WRITERS[form](table)
 
 
+BYTES: Final = "application/octet-stream"
+"""Of no format by its name: it is told by how the bytes begin.
+
+It stands last, for some generated clients send bytes under the last type that a call takes.
+"""
+
+
 TELEMETRY_BODY: Final = {
     "requestBody": {
         "description": "The telemetry; gzip and zstd as Content-Encoding.",
         "required": True,
-        "content": {kind: {"schema": {"type": "string", "format": "binary"}} for kind in READ_TYPES},
+        "content": {kind: {"schema": {"type": "string", "format": "binary"}} for kind in (*READ_TYPES, BYTES)},
     }
 }
 

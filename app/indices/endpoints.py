@@ -10,12 +10,13 @@ from starlette.concurrency import run_in_threadpool
 from app.access.authentication import Reader, Station, authenticate
 from app.access.caller import Caller
 from app.http.dependencies import Config, Db
+from app.http.paging import answered, page_of
 from app.http.receiving import receive
-from app.http.schemas import Page, PageQuery
+from app.http.schemas import Page
 from app.http.services import HttpServices, services_of
 from app.http.strict_json import StrictJsonRoute
 from app.indices.repository import IndexRepository, require_unbound
-from app.indices.schemas import FieldFileRead, FieldFileUpload, IndexQuery, IndexRead
+from app.indices.schemas import FieldFileQuery, FieldFileRead, FieldFileShort, FieldFileUpload, IndexQuery, IndexRead
 from app.indices.tables import FieldFile, IndexFile
 from app.storage.retry import retried
 from magcal_core.field.coefficient_files import read_field_file
@@ -76,12 +77,12 @@ def _keep_index(content: bytes, caller: Caller, db: Db) -> tuple[IndexRead, bool
     return retried(add)
 
 
-@router.get("/indices")
-def list_indices(query: Annotated[IndexQuery, Query()], _caller: Reader, db: Db) -> Page[IndexRead]:
+@router.get("/indices", response_model=Page[IndexRead])
+def list_indices(query: Annotated[IndexQuery, Query()], caller: Reader, db: Db) -> Response:
     """List the index files, the newest first."""
     with db.read() as session:
-        rows, cursor, total = IndexRepository(session, _caller).page(query)
-        return Page(items=[_read(row) for row in rows], next=cursor, total=total)
+        found = IndexRepository(session, caller).page(query)
+        return answered(page_of([_read(row) for row in found.rows], found, query, IndexRead))
 
 
 @router.get("/indices/{index_id}")
@@ -125,12 +126,12 @@ def _keep_file(content: bytes, name: str | None, caller: Caller, db: Db) -> tupl
     return retried(add)
 
 
-@router.get("/field-files")
-def list_field_files(query: Annotated[PageQuery, Query()], caller: Reader, db: Db) -> Page[FieldFileRead]:
+@router.get("/field-files", response_model=Page[FieldFileRead] | Page[FieldFileShort])
+def list_field_files(query: Annotated[FieldFileQuery, Query()], caller: Reader, db: Db) -> Response:
     """List the files of coefficients, the newest first."""
     with db.read() as session:
-        rows, cursor, total = IndexRepository(session, caller).page_of_field_files(query)
-        return Page(items=[_read_file(row) for row in rows], next=cursor, total=total)
+        found = IndexRepository(session, caller).page_of_field_files(query)
+        return answered(page_of([_read_file(row) for row in found.rows], found, query, FieldFileShort))
 
 
 @router.get("/field-files/{file_id}")

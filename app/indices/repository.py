@@ -15,9 +15,8 @@ from sqlalchemy.orm import Session, undefer
 from app.access.audit_trail import record_event
 from app.access.caller import SYSTEM, Caller
 from app.errors import NotFoundError, ScopeRequiredError
-from app.http.paging import Part, fetch_page
-from app.http.schemas import PageQuery
-from app.indices.schemas import IndexQuery
+from app.http.paging import Part, Ways, fetch_page
+from app.indices.schemas import FieldFileQuery, IndexQuery
 from app.indices.tables import FieldFile, IndexFile
 from app.storage.database import Base, new_id, utc_now
 from app.storage.store import verified
@@ -29,6 +28,13 @@ from magcal_core.field.index import INDEX_NAMES, Index
 from magcal_core.field.models import FieldName
 from magcal_core.field.sources import FieldSources
 
+INDICES: Final = Ways(
+    {"created": (IndexFile.created_at, IndexFile.id), "first": (IndexFile.first, IndexFile.id)},
+    searched=(IndexFile.id, IndexFile.name, IndexFile.format, IndexFile.sha256),
+)
+FIELD_FILES: Final = Ways(
+    {"created": (FieldFile.created_at, FieldFile.id)}, searched=(FieldFile.id, FieldFile.name, FieldFile.sha256)
+)
 MEMORY: Final = timedelta(hours=20_000)
 """How long before a session hours of the index count: the Earth's memory of them is 1e-10 nT by then."""
 AROUND: Final = timedelta(hours=4)
@@ -111,17 +117,17 @@ class IndexRepository:
         return row
 
     def page(self, query: IndexQuery) -> Part[IndexFile]:
-        """Return a part of the index files, the newest first."""
+        """Return a part of the index files."""
         statement = select(IndexFile)
         if query.name is not None:
             statement = statement.where(IndexFile.name == query.name)
         if query.at is not None:
             statement = statement.where(IndexFile.first <= query.at, IndexFile.last > query.at)
-        return fetch_page(self.session, statement, (IndexFile.created_at, IndexFile.id), query)
+        return fetch_page(self.session, statement, INDICES, query)
 
-    def page_of_field_files(self, query: PageQuery) -> Part[FieldFile]:
-        """Return a part of the files of coefficients, the newest first."""
-        return fetch_page(self.session, select(FieldFile), (FieldFile.created_at, FieldFile.id), query)
+    def page_of_field_files(self, query: FieldFileQuery) -> Part[FieldFile]:
+        """Return a part of the files of coefficients."""
+        return fetch_page(self.session, select(FieldFile), FIELD_FILES, query)
 
     # ------------------------------------------------------------------------------------------------ what jobs take
 

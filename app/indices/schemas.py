@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from app.http.schemas import Filter, Name, PageQuery, Record, UtcTime
+from app.http.schemas import Filter, Name, NewestFirst, PageQuery, Record, Search, UtcTime
 
 
 class IndexRead(Record):
@@ -28,21 +28,36 @@ class IndexQuery(PageQuery):
 
     name: Literal["RC", "Dst", "Kp"] | None = None
     at: UtcTime | None = Field(None, description="Only those that reach over this time.")
+    q: Search | None = Field(None, description="Part of an id, name, format or SHA-256.")
+    sort: Literal["created", "-created", "first", "-first"] = Field(
+        "-created", description="`-created`: the newest first; `first` is the start of the first interval."
+    )
 
 
-class FieldFileRead(Record):
-    """One file of coefficients."""
+class FieldFileQuery(NewestFirst):
+    """Which files of coefficients to list."""
+
+    q: Search | None = Field(None, description="Part of an id, name or SHA-256.")
+
+
+class FieldFileShort(Record):
+    """One file of coefficients in under 500 bytes."""
 
     id: str
     name: str | None
     format: str
+    created_at: UtcTime
+
+
+class FieldFileRead(FieldFileShort):
+    """One file of coefficients."""
+
     model: str | None
     sha256: str
     degrees: list[int] = Field(description="The first and the last.")
     order: int = Field(description="Order of the polynomials in time: 1 constants, 2 lines.")
     valid_from: str | None
     valid_until: str | None
-    created_at: UtcTime
 
 
 class FieldFileUpload(Filter):

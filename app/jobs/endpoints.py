@@ -17,6 +17,7 @@ from app.access.caller import Caller
 from app.access.idempotency import KeyHeader, fingerprint, recall, remember
 from app.http.dependencies import Blobs, Config, Db
 from app.http.entity_tags import UNCHANGED, revalidated
+from app.http.paging import in_short
 from app.http.strict_json import StrictJsonRoute
 from app.http.tables import TABLES, table_response, wanted_format, write_table
 from app.jobs.dependencies import Jobs
@@ -25,7 +26,7 @@ from app.jobs.kinds.result_series import read_series
 from app.jobs.queue import Queue
 from app.jobs.repository import JobRepository
 from app.jobs.reprocessing import submit_reprocessing
-from app.jobs.schemas import JobPage, JobQuery, JobRead, ReprocessingBody
+from app.jobs.schemas import JobPage, JobQuery, JobRead, JobShort, JobShortPage, ReprocessingBody
 from app.jobs.tables import Job
 from app.jobs.transitions import ENDED
 from app.parameter_sets.schemas import TableQuery
@@ -100,19 +101,23 @@ def create_reprocessing(
     return _queued_once(asked, submit, Asking(caller, db, queue, response, key))
 
 
-@router.get("/jobs", response_model=JobPage, responses=UNCHANGED)
+@router.get("/jobs", response_model=JobPage | JobShortPage, responses=UNCHANGED)
 def list_jobs(query: Annotated[JobQuery, Query()], request: Request, caller: Reader, db: Db) -> Response:
     """List the jobs, the newest first; with `total`, counted by state."""
     return revalidated(request, jobs_now(query, caller, db))
 
 
-def jobs_now(query: JobQuery, caller: Caller, db: Database) -> JobPage:
+def jobs_now(query: JobQuery, caller: Caller, db: Database) -> JobPage | JobShortPage:
     """Return a part of the jobs."""
     with db.read() as session:
         jobs = JobRepository(session, caller)
         rows, cursor, total = jobs.page(query)
         counts = jobs.counts(query) if query.total else None
-        return JobPage(items=jobs.read(rows), next=cursor, total=total, counts=counts)
+        items = jobs.read(rows)
+    if query.view == "full":
+        return JobPage(items=items, next=cursor, total=total, counts=counts)
+    short = [in_short(one, JobShort) for one in items]
+    return JobShortPage(items=short, next=cursor, total=total, counts=counts)
 
 
 @router.get("/jobs/{job_id}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 from sqlalchemy import ColumnElement, Select, func, or_, select, true
 from sqlalchemy.orm import Session
@@ -10,7 +11,7 @@ from sqlalchemy.orm import Session
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.errors import ConflictError, NotFoundError
-from app.http.paging import Part, fetch_page, has_part
+from app.http.paging import Part, Ways, fetch_page
 from app.jobs.fair_order import take_turns
 from app.jobs.kinds.contract import Admission
 from app.jobs.kinds.registry import JOB_KINDS
@@ -21,6 +22,8 @@ from app.jobs.schemas import JobBody, JobQuery, JobRead
 from app.jobs.tables import Job, JobSession
 from app.jobs.transitions import ENDED, cancel, cancel_sum, new_job
 from app.parameter_sets.tables import ParameterSet
+
+JOBS: Final = Ways({"created": (Job.id,)}, searched=(Job.id, Job.satellite_id, Job.magnetometer_id, Job.kind))
 
 
 class JobRepository:
@@ -93,16 +96,17 @@ class JobRepository:
         return row
 
     def page(self, query: JobQuery) -> Part[Job]:
-        """Return a part of the jobs, the newest first unless asked otherwise."""
+        """Return a part of the jobs."""
         statement = self._wanted(query)
         if query.state is not None:
             statement = statement.where(Job.state == query.state)
-        return fetch_page(self.session, statement, (Job.id,), query, is_up=query.sort == "created")
+        return fetch_page(self.session, statement, JOBS, query)
 
     def counts(self, query: JobQuery) -> dict[str, int]:
         """Return how many of the jobs that ``query`` asks for there are of each state, whichever it asks for."""
-        wanted = self._wanted(query).with_only_columns(Job.state, func.count()).group_by(Job.state)
-        return {str(state): int(count) for state, count in self.session.execute(wanted)}
+        wanted = self._wanted(query).where(JOBS.holding(query))
+        by_state = wanted.with_only_columns(Job.state, func.count()).group_by(Job.state)
+        return {str(state): int(count) for state, count in self.session.execute(by_state)}
 
     def _wanted(self, query: JobQuery) -> Select[Job]:
         """Return the statement of what ``query`` asks for, in every state."""
@@ -119,8 +123,6 @@ class JobRepository:
         if query.session is not None:
             of_session = select(JobSession.job_id).where(JobSession.session_id == query.session)
             statement = statement.where(Job.id.in_(of_session))
-        if query.q is not None:
-            statement = statement.where(has_part(query.q, Job.id, Job.satellite_id, Job.magnetometer_id, Job.kind))
         return statement
 
     def cancel(self, job_id: str) -> Job:

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field, JsonValue
 
-from app.http.schemas import Body, Identifier, Page, PageQuery, Record, Search, Slug, UtcTime
+from app.http.schemas import Body, Identifier, NewestFirst, Page, Record, Search, Slug, UtcTime
 from app.records.calibration_options import CalibrationOptionsBody
 
 JobState = Literal["queued", "running", "succeeded", "failed", "cancelled"]
@@ -43,18 +43,27 @@ class ReprocessingBody(CalibrationOptionsBody):
     priority: int = Field(-50, ge=-100, le=100, description="Below 0, so that a pass goes first.")
 
 
-class JobRead(Record):
-    """A job as it stands."""
+class JobShort(Record):
+    """A job in under 500 bytes."""
 
     id: str
     kind: str
     state: JobState
     progress: float
+    satellite: str | None
+    magnetometer: str | None
+    verdict: Literal["accept", "weak", "refuse"] | None = Field(None, description="Of the set that it made.")
+    created_at: UtcTime
+    started_at: UtcTime | None
+    finished_at: UtcTime | None
+
+
+class JobRead(JobShort):
+    """A job as it stands."""
+
     attempts: int
     worker: str | None = Field(description="HOST:PID of the worker that has it, or had it last.")
     priority: int
-    satellite: str | None
-    magnetometer: str | None
     session_ids: list[str]
     parent_id: str | None
     options: dict[str, JsonValue] = Field(
@@ -62,15 +71,11 @@ class JobRead(Record):
     )
     error: dict[str, JsonValue] | None
     result: dict[str, JsonValue] | None
-    verdict: Literal["accept", "weak", "refuse"] | None = Field(None, description="Of the set that it made.")
     cancel_requested: bool
-    created_at: UtcTime
     created_by: str | None
-    started_at: UtcTime | None
-    finished_at: UtcTime | None
 
 
-class JobQuery(PageQuery):
+class JobQuery(NewestFirst):
     """Which jobs to list."""
 
     state: JobState | None = None
@@ -80,10 +85,15 @@ class JobQuery(PageQuery):
     session: Identifier | None = None
     parent: Identifier | None = None
     q: Search | None = Field(None, description="Part of an id of the job, its satellite, magnetometer or kind.")
-    sort: Literal["created", "-created"] = Field("-created", description="`-created`: the newest first.")
 
 
 class JobPage(Page[JobRead]):
     """A part of the jobs; with `total`, how many there are of each state, whichever state is asked for."""
+
+    counts: dict[str, int] | None = Field(None, exclude_if=lambda value: value is None)
+
+
+class JobShortPage(Page[JobShort]):
+    """A part of the jobs in short; with `total`, how many there are of each state, whichever state is asked for."""
 
     counts: dict[str, int] | None = Field(None, exclude_if=lambda value: value is None)

@@ -75,7 +75,7 @@ class MonitoringRead(Record):
     residual_mean_nt: float | None
     residual_ratio: float | None = Field(description="Over the residual of the parameter set on its own data.")
     p_value: float | None = Field(description="Probability of drifts so large where there are none.")
-    field_change_nt: float | None = Field(description="By how much the drifts would change the corrected field.")
+    field_change_nt: float | None = Field(description="By how much the drifts would change the corrected field, nT.")
     field_change_error_nt: float | None
     drifts: list[DriftRead]
 
@@ -86,7 +86,7 @@ class ComparisonQuery(Filter):
     other: Identifier = Field(description="Session of a second magnetometer of the same satellite.")
     parameter_set: Identifier | None = Field(None, description="Of this session's; the one in force unless given.")
     other_parameter_set: Identifier | None = Field(None, description="Of the other's; the one in force unless given.")
-    distance_m: float | None = Field(None, gt=0.0, description="Between the two places: gives the gradient.")
+    distance_m: float | None = Field(None, gt=0.0, description="Between the two places, m: gives the gradient.")
 
 
 class AngleRead(Record):
@@ -191,7 +191,7 @@ class ObjectQuery(Filter):
     """Which orbits count."""
 
     max_orbit_age_days: float = Field(
-        ORBIT_AGE_DAYS, gt=0, le=1000, description="Refuse orbits further from the session."
+        ORBIT_AGE_DAYS, gt=0, le=1000, description="Refuse orbits further from the session, days."
     )
 
 
@@ -203,7 +203,7 @@ class ObjectRead(Record):
     name: str
     epoch: str
     age_days: float
-    residual_nt: float | None = Field(description="1.4826 times the median size of the residual.")
+    residual_nt: float | None = Field(description="1.4826 times the median size of the residual, nT.")
     behind_first: float | None = Field(description="Standard errors by which its residuals exceed those of the first.")
     reason: str | None
 

@@ -52,7 +52,7 @@ class SetComparisonRead(Record):
         description="By how much the corrected field differs at 40,000 nT, root mean square over all directions."
     )
     field_change_error_nt: float | None
-    limit_nt: float | None = Field(description="Change up to which it does not matter.")
+    limit_nt: float | None = Field(description="Change of the corrected field up to which it does not matter, nT.")
     differences: list[DriftRead]
 
 

@@ -129,7 +129,7 @@ class TrendRead(Record):
     standard_errors: ParametersRead
     parameter_names: list[str]
     covariance: list[list[float]]
-    field_error_nt: float = Field(description="Bound that the corrected field's error keeps in 95 of 100 cases.")
+    field_error_nt: float = Field(description="Bound that the corrected field's error keeps in 95 of 100 cases, nT.")
     walk: dict[str, float] = Field(description="Random walk of each group, share per root year.")
     scatter: dict[str, float] = Field(description="Scatter from session to session of each group, share.")
     jumps: list[TrendJumpRead]

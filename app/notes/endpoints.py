@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Final
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Response
 from sqlalchemy.orm import Session
 
 from app.access.authentication import Operator, Reader
 from app.access.caller import Caller
 from app.http.dependencies import Db
-from app.http.schemas import Page, PageQuery
+from app.http.paging import answered
+from app.http.schemas import Page
 from app.http.strict_json import StrictJsonRoute
 from app.notes.repository import NoteRepository
-from app.notes.schemas import NoteCreate, NoteRead
+from app.notes.schemas import NoteCreate, NoteQuery, NoteRead, NoteShort
 from app.parameter_sets.repository import ParameterSetRepository
 from app.satellites.repository import SatelliteRepository
 from app.sessions.repository import SessionRepository
@@ -24,7 +25,8 @@ SATELLITE = "/satellites/{satellite_id}/notes"
 MAGNETOMETER = "/satellites/{satellite_id}/magnetometers/{magnetometer_id}/notes"
 SESSION = "/sessions/{session_id}/notes"
 PARAMETER_SET = "/parameter-sets/{parameter_set_id}/notes"
-Asked = Annotated[PageQuery, Query()]
+NOTES: Final = Page[NoteRead] | Page[NoteShort]
+Asked = Annotated[NoteQuery, Query()]
 
 
 def _of_satellite(session: Session, caller: Caller, satellite_id: str) -> NoteRepository:
@@ -47,12 +49,12 @@ def _of_parameter_set(session: Session, caller: Caller, parameter_set_id: str) -
     return NoteRepository(session, caller, "parameter_set", found.id, found.satellite_id)
 
 
-def _page(notes: NoteRepository, query: PageQuery) -> Page[NoteRead]:
-    return notes.page(query)
+def _page(notes: NoteRepository, query: NoteQuery) -> Response:
+    return answered(notes.page(query))
 
 
-@router.get(SATELLITE)
-def list_satellite_notes(satellite_id: str, query: Asked, caller: Reader, db: Db) -> Page[NoteRead]:
+@router.get(SATELLITE, response_model=NOTES)
+def list_satellite_notes(satellite_id: str, query: Asked, caller: Reader, db: Db) -> Response:
     """List the notes beside a satellite, the newest first."""
     with db.read() as session:
         return _page(_of_satellite(session, caller, satellite_id), query)
@@ -65,10 +67,8 @@ def add_satellite_note(satellite_id: str, body: NoteCreate, caller: Operator, db
         return _of_satellite(session, caller, satellite_id).add(body.text)
 
 
-@router.get(MAGNETOMETER)
-def list_magnetometer_notes(
-    satellite_id: str, magnetometer_id: str, query: Asked, caller: Reader, db: Db
-) -> Page[NoteRead]:
+@router.get(MAGNETOMETER, response_model=NOTES)
+def list_magnetometer_notes(satellite_id: str, magnetometer_id: str, query: Asked, caller: Reader, db: Db) -> Response:
     """List the notes beside a magnetometer, the newest first."""
     with db.read() as session:
         return _page(_of_magnetometer(session, caller, satellite_id, magnetometer_id), query)
@@ -83,8 +83,8 @@ def add_magnetometer_note(
         return _of_magnetometer(session, caller, satellite_id, magnetometer_id).add(body.text)
 
 
-@router.get(SESSION)
-def list_session_notes(session_id: str, query: Asked, caller: Reader, db: Db) -> Page[NoteRead]:
+@router.get(SESSION, response_model=NOTES)
+def list_session_notes(session_id: str, query: Asked, caller: Reader, db: Db) -> Response:
     """List the notes beside a session, the newest first."""
     with db.read() as session:
         return _page(_of_session(session, caller, session_id), query)
@@ -97,8 +97,8 @@ def add_session_note(session_id: str, body: NoteCreate, caller: Operator, db: Db
         return _of_session(session, caller, session_id).add(body.text)
 
 
-@router.get(PARAMETER_SET)
-def list_parameter_set_notes(parameter_set_id: str, query: Asked, caller: Reader, db: Db) -> Page[NoteRead]:
+@router.get(PARAMETER_SET, response_model=NOTES)
+def list_parameter_set_notes(parameter_set_id: str, query: Asked, caller: Reader, db: Db) -> Response:
     """List the notes beside a parameter set, the newest first."""
     with db.read() as session:
         return _page(_of_parameter_set(session, caller, parameter_set_id), query)

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.access.key_tables import ApiKey
-from app.http.paging import fetch_page
-from app.http.schemas import Page, PageQuery
-from app.notes.schemas import NoteRead
+from app.http.paging import Ways, fetch_page, page_of
+from app.http.schemas import Page
+from app.notes.schemas import NoteQuery, NoteRead, NoteShort
 from app.notes.tables import Note
 from app.storage.database import new_id, utc_now
+
+NOTES: Final = Ways({"created": (Note.id,)}, searched=(Note.text,))
 
 
 class NoteRepository:
@@ -31,11 +35,10 @@ class NoteRepository:
         self.session.flush()
         return self._read([row])[0]
 
-    def page(self, query: PageQuery) -> Page[NoteRead]:
-        """Return a part of the notes, the newest first."""
-        statement = select(Note).filter_by(**self._own)
-        found = fetch_page(self.session, statement, (Note.id,), query)
-        return Page(items=self._read(found.rows), next=found.cursor, total=found.total)
+    def page(self, query: NoteQuery) -> Page[NoteRead] | Page[NoteShort]:
+        """Return a part of the notes."""
+        found = fetch_page(self.session, select(Note).filter_by(**self._own), NOTES, query)
+        return page_of(self._read(found.rows), found, query, NoteShort)
 
     def _read(self, rows: list[Note]) -> list[NoteRead]:
         writers = {row.created_by for row in rows} - {None}

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, StringConstraints
 
-from app.http.schemas import Body, Record, UtcTime
+from app.http.schemas import Body, NewestFirst, Record, Search, UtcTime
 
 Kind = Literal["satellite", "magnetometer", "session", "parameter_set"]
 
@@ -19,14 +19,25 @@ class NoteCreate(Body):
     )
 
 
-class NoteRead(Record):
-    """A note with its author and time; notes are never changed."""
+class NoteQuery(NewestFirst):
+    """Which notes to list."""
+
+    q: Search | None = Field(None, description="Part of the text.")
+
+
+class NoteShort(Record):
+    """A note without its text, in under 500 bytes."""
 
     id: str
     kind: Kind = Field(description="What the note stands beside.")
     subject: str = Field(description="Its id; of a magnetometer `satellite/magnetometer`.")
     satellite: str
-    text: str
     created_at: UtcTime
     created_by: str | None = Field(description="Id of the author's key.")
     author: str | None = Field(description="Name of the author's key.")
+
+
+class NoteRead(NoteShort):
+    """A note with its author and time; notes are never changed."""
+
+    text: str

@@ -4,18 +4,28 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Response
 
 from app.access.authentication import Administrator
 from app.access.caller import Caller
 from app.errors import ScopeRequiredError
 from app.http.dependencies import Config, Db
-from app.http.schemas import Page, PageQuery
+from app.http.paging import answered, page_of
+from app.http.schemas import Page
 from app.http.strict_json import StrictJsonRoute
 from app.notifications import event_stream
 from app.notifications.hosts import AddressRefusedError, AllowedHosts, WebhookHostError, target_of
 from app.notifications.repository import WebhookRepository
-from app.notifications.schemas import DeliveryQuery, DeliveryRead, WebhookCreate, WebhookCreated, WebhookRead
+from app.notifications.schemas import (
+    DeliveryQuery,
+    DeliveryRead,
+    DeliveryShort,
+    WebhookCreate,
+    WebhookCreated,
+    WebhookQuery,
+    WebhookRead,
+    WebhookShort,
+)
 from app.outbox.log import place_new
 
 router = APIRouter(route_class=StrictJsonRoute, tags=["events"])
@@ -47,13 +57,13 @@ def create_webhook(body: WebhookCreate, caller: Administrator, db: Db, config: C
     return WebhookCreated(secret=row.secret, **WebhookRead.model_validate(row).model_dump())
 
 
-@router.get("/webhooks")
-def list_webhooks(query: Annotated[PageQuery, Query()], caller: Administrator, db: Db) -> Page[WebhookRead]:
+@router.get("/webhooks", response_model=Page[WebhookRead] | Page[WebhookShort])
+def list_webhooks(query: Annotated[WebhookQuery, Query()], caller: Administrator, db: Db) -> Response:
     """List the webhooks, the newest first."""
     _refuse_bound(caller)
     with db.read() as session:
-        rows, cursor, total = WebhookRepository(session, caller).page(query)
-    return Page(items=[WebhookRead.model_validate(row) for row in rows], next=cursor, total=total)
+        found = WebhookRepository(session, caller).page(query)
+    return answered(page_of([WebhookRead.model_validate(row) for row in found.rows], found, query, WebhookShort))
 
 
 @router.delete("/webhooks/{webhook_id}", status_code=204)
@@ -64,15 +74,15 @@ def delete_webhook(webhook_id: str, caller: Administrator, db: Db) -> None:
         WebhookRepository(session, caller).delete(webhook_id)
 
 
-@router.get("/webhooks/{webhook_id}/deliveries")
+@router.get("/webhooks/{webhook_id}/deliveries", response_model=Page[DeliveryRead] | Page[DeliveryShort])
 def list_deliveries(
     webhook_id: str, query: Annotated[DeliveryQuery, Query()], caller: Administrator, db: Db
-) -> Page[DeliveryRead]:
+) -> Response:
     """List what was sent to a webhook, or is to be, the newest first."""
     _refuse_bound(caller)
     with db.read() as session:
-        rows, cursor, total = WebhookRepository(session, caller).deliveries(webhook_id, query)
-    return Page(items=[DeliveryRead.model_validate(row) for row in rows], next=cursor, total=total)
+        found = WebhookRepository(session, caller).deliveries(webhook_id, query)
+    return answered(page_of([DeliveryRead.model_validate(row) for row in found.rows], found, query, DeliveryShort))
 
 
 @router.post("/webhooks/{webhook_id}/deliveries/{delivery_id}/replay", status_code=202)

@@ -12,15 +12,18 @@ from sqlalchemy.orm import Session
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.errors import ConflictError, NotFoundError
-from app.http.paging import Part, fetch_page
-from app.http.schemas import PageQuery
-from app.notifications.schemas import DeliveryQuery, WebhookCreate
+from app.http.paging import Part, Ways, fetch_page
+from app.notifications.schemas import DeliveryQuery, WebhookCreate, WebhookQuery
 from app.notifications.tables import Delivery, Webhook
 from app.outbox.log import newest_position
 from app.storage.database import new_id, utc_now
 
 SECRET_BYTES: Final = 32
 MOST_WEBHOOKS: Final = 100
+WEBHOOKS: Final = Ways({"created": (Webhook.id,)}, searched=(Webhook.id, Webhook.url, Webhook.description))
+DELIVERIES: Final = Ways(
+    {"created": (Delivery.id,)}, searched=(Delivery.id, Delivery.event_id, Delivery.type, Delivery.reason)
+)
 
 
 class WebhookRepository:
@@ -56,9 +59,9 @@ class WebhookRepository:
             raise NotFoundError("no such webhook")
         return row
 
-    def page(self, query: PageQuery) -> Part[Webhook]:
-        """Return a part of the webhooks, the newest first."""
-        return fetch_page(self.session, select(Webhook), (Webhook.id,), query)
+    def page(self, query: WebhookQuery) -> Part[Webhook]:
+        """Return a part of the webhooks."""
+        return fetch_page(self.session, select(Webhook), WEBHOOKS, query)
 
     def delete(self, webhook_id: str) -> None:
         """Forget a webhook and its deliveries."""
@@ -68,11 +71,11 @@ class WebhookRepository:
         record_event(self.session, self.caller, "webhook.delete", webhook_id)
 
     def deliveries(self, webhook_id: str, query: DeliveryQuery) -> Part[Delivery]:
-        """Return a part of a webhook's deliveries, the newest first."""
+        """Return a part of a webhook's deliveries."""
         statement = select(Delivery).where(Delivery.webhook_id == self.get(webhook_id).id)
         if query.state is not None:
             statement = statement.where(Delivery.state == query.state)
-        return fetch_page(self.session, statement, (Delivery.id,), query)
+        return fetch_page(self.session, statement, DELIVERIES, query)
 
     def replay(self, webhook_id: str, delivery_id: str) -> Delivery:
         """Return a delivery, to be sent once more from now on, for as long as a new one."""

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, StringConstraints
 
-from app.http.schemas import Body, Name, PageQuery, Record, UtcTime
+from app.http.schemas import Body, Name, NewestFirst, Record, Search, UtcTime
 from app.outbox.events import EventType
 
 DeliveryState = Literal["pending", "delivered", "parked"]
@@ -20,16 +20,27 @@ class WebhookCreate(Body):
     description: Name | None = None
 
 
-class WebhookRead(Record):
-    """A webhook; its secret is not shown again."""
+class WebhookQuery(NewestFirst):
+    """Which webhooks to list."""
+
+    q: Search | None = Field(None, description="Part of an id, address or description.")
+
+
+class WebhookShort(Record):
+    """A webhook without its address and types of events, in under 500 bytes."""
 
     id: str
-    url: str
-    events: list[EventType]
     description: str | None
     is_failing: bool = Field(description="The last attempt got no connection.")
     created_at: UtcTime
     created_by: str | None
+
+
+class WebhookRead(WebhookShort):
+    """A webhook; its secret is not shown again."""
+
+    url: str
+    events: list[EventType]
 
 
 class WebhookCreated(WebhookRead):
@@ -38,14 +49,16 @@ class WebhookCreated(WebhookRead):
     secret: str
 
 
-class DeliveryQuery(PageQuery):
+class DeliveryQuery(NewestFirst):
     """Which deliveries to list."""
+
+    q: Search | None = Field(None, description="Part of an id of the delivery or its event, a type or a reason.")
 
     state: DeliveryState | None = None
 
 
-class DeliveryRead(Record):
-    """One event on its way to a webhook."""
+class DeliveryShort(Record):
+    """One event on its way to a webhook, without what is sent, in under 500 bytes."""
 
     id: str
     webhook_id: str
@@ -54,9 +67,14 @@ class DeliveryRead(Record):
     state: DeliveryState
     attempts: int
     status: int | None = Field(description="HTTP status of the last answer.")
+    next_attempt_at: UtcTime
+    created_at: UtcTime
+
+
+class DeliveryRead(DeliveryShort):
+    """One event on its way to a webhook."""
+
     reason: str | None = Field(description="Why the last attempt was no delivery.")
     first_attempt_at: UtcTime | None
     last_attempt_at: UtcTime | None
-    next_attempt_at: UtcTime
-    created_at: UtcTime
     body: str

@@ -12,6 +12,7 @@ from starlette.concurrency import run_in_threadpool
 from app.access.authentication import Operator, OrbitSource, Reader, authenticate
 from app.access.caller import Caller
 from app.http.dependencies import Config, Db
+from app.http.paging import Part, answered, page_of
 from app.http.receiving import receive
 from app.http.schemas import Page
 from app.http.services import HttpServices, services_of
@@ -20,7 +21,7 @@ from app.orbits.nearest import chosen
 from app.orbits.objects import check_objects
 from app.orbits.parsing import ParsedOrbit, parse_message
 from app.orbits.repository import OrbitRepository
-from app.orbits.schemas import OrbitDetail, OrbitList, OrbitQuery, OrbitRead, OrbitUpload
+from app.orbits.schemas import OrbitDetail, OrbitList, OrbitQuery, OrbitRead, OrbitShort, OrbitUpload
 from app.orbits.tables import OrbitRow
 from app.satellites.repository import SatelliteRepository
 from app.storage.retry import retried
@@ -31,7 +32,10 @@ ORBIT_BODY: Final = {
     "requestBody": {
         "description": "TLE or 3LE, OMM, OEM, or a state vector.",
         "required": True,
-        "content": {kind: {"schema": {}} for kind in ("text/plain", "application/json", "application/xml")},
+        "content": {
+            kind: {"schema": {}}
+            for kind in ("text/plain", "application/json", "application/xml", "application/octet-stream")
+        },
     }
 }
 
@@ -90,16 +94,21 @@ def _keep(
     return OrbitList(items=[_read(row) for row in rows]), is_any_new
 
 
-@router.get("")
-def list_orbits(satellite_id: str, query: Annotated[OrbitQuery, Query()], caller: Reader, db: Db) -> Page[OrbitRead]:
+@router.get("", response_model=Page[OrbitRead] | Page[OrbitShort])
+def list_orbits(satellite_id: str, query: Annotated[OrbitQuery, Query()], caller: Reader, db: Db) -> Response:
     """List the orbits of a satellite, the newest epoch first; with `at`, the one that serves that time."""
     with db.read() as session:
         orbits = OrbitRepository(session, caller, satellite_id)
-        if query.at is None:
-            rows, cursor, total = orbits.page(query)
-            return Page(items=[_read(row) for row in rows], next=cursor, total=total)
-        row = chosen(orbits.around(query.at, query.at, 0.0), query.at)
-    return Page(items=[] if row is None else [_read(row, query.at)])
+        found = orbits.page(query) if query.at is None else _serving(orbits, query.at, query)
+        items = [_read(row, query.at) for row in found.rows]
+    return answered(page_of(items, found, query, OrbitShort))
+
+
+def _serving(orbits: OrbitRepository, at: datetime, query: OrbitQuery) -> Part[OrbitRow]:
+    """Return the one orbit that serves a time, if any does."""
+    row = chosen(orbits.around(at, at, 0.0), at)
+    rows = [] if row is None else [row]
+    return Part(rows, None, len(rows) if query.total else None)
 
 
 @router.post("/{orbit_id}/withdraw")

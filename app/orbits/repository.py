@@ -14,7 +14,7 @@ from sqlalchemy.orm import Session
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.errors import NotFoundError
-from app.http.paging import Part, fetch_page
+from app.http.paging import Part, Ways, fetch_page
 from app.http.schemas import utc_text
 from app.orbits.parsing import ParsedOrbit
 from app.orbits.schemas import OrbitQuery
@@ -24,6 +24,10 @@ from app.storage.database import new_id, utc_now
 from app.storage.store import digest
 from magcal_core.errors import OptionError
 
+ORBITS: Final = Ways(
+    {"epoch": (OrbitRow.epoch, OrbitRow.id), "created": (OrbitRow.created_at, OrbitRow.id)},
+    searched=(OrbitRow.id, OrbitRow.name, OrbitRow.format, OrbitRow.details["norad_id"].as_string()),
+)
 MOST_EPHEMERIDES: Final = 400
 """Ephemerides, of some megabytes each, that one calibration takes."""
 MOST_STATES: Final = 20_000
@@ -131,11 +135,11 @@ class OrbitRepository:
         return row
 
     def page(self, query: OrbitQuery) -> Part[OrbitRow]:
-        """Return a part of the orbits, the newest first."""
+        """Return a part of the orbits."""
         statement = select(OrbitRow).where(OrbitRow.satellite_id == self.satellite_id)
         if query.format is not None:
             statement = statement.where(OrbitRow.format == query.format)
-        return fetch_page(self.session, statement, (OrbitRow.epoch, OrbitRow.id), query)
+        return fetch_page(self.session, statement, ORBITS, query)
 
     def instants(self) -> list[tuple[np.datetime64, np.datetime64 | None]]:
         """Return epoch, and end of an ephemeris, of the satellite's orbits, the newest first."""

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field, JsonValue
 
-from app.http.schemas import Filter, PageQuery, Record, UtcTime
+from app.http.schemas import Filter, PageQuery, Record, Search, UtcTime
 
 OrbitFormat = Literal["tle", "omm", "oem", "state"]
 
@@ -17,8 +17,8 @@ class OrbitUpload(Filter):
     force: bool = Field(False, description="Keep orbits whose NORAD or COSPAR id is not the satellite's.")
 
 
-class OrbitRead(Record):
-    """One source of position."""
+class OrbitShort(Record):
+    """One source of position in under 500 bytes."""
 
     id: str
     satellite: str
@@ -27,11 +27,16 @@ class OrbitRead(Record):
     epoch: UtcTime
     until: UtcTime | None = Field(description="End of an ephemeris; its epoch is its start.")
     sha256: str
-    details: dict[str, JsonValue]
     created_at: UtcTime
     created_by: str | None
     withdrawn_at: UtcTime | None = Field(description="Since when no calibration takes it any more.")
     age_days: float | None = Field(None, description="With `at`: distance of the time asked for from the epoch, days.")
+
+
+class OrbitRead(OrbitShort):
+    """One source of position."""
+
+    details: dict[str, JsonValue]
 
 
 class OrbitDetail(OrbitRead):
@@ -51,3 +56,7 @@ class OrbitQuery(PageQuery):
 
     at: UtcTime | None = Field(None, description="Only the one that a calibration at this time would use.")
     format: OrbitFormat | None = None
+    q: Search | None = Field(None, description="Part of an id, name, format or NORAD id.")
+    sort: Literal["epoch", "-epoch", "created", "-created"] = Field(
+        "-epoch", description="`-epoch`: the newest epoch first; `created` is when it was sent."
+    )

@@ -43,7 +43,7 @@ class BiasPathRead(Record):
 
     parameter_set_id: str
     time: list[UtcTime] = Field(description="Middle of each block of time.")
-    bias_nt: list[list[float]] = Field(description="One row a block, three axes.")
+    bias_nt: list[list[float]] = Field(description="Bias, sensor frame, nT: one row a block, three axes.")
     standard_errors_nt: list[list[float]]
     steps: list[BiasStepRead]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Final
 
 from fastapi import APIRouter, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
@@ -73,7 +73,11 @@ def get_parameter_set(parameter_set_id: str, request: Request, caller: Reader, d
     return tagged_json(texts[0], wanted.tag)
 
 
-@router.get("/{parameter_set_id}/reasons")
+WHOLE: Final = {"x-whole-list": "The reasons of one verdict are a handful: all of them, the gravest first."}
+"""Why a list has neither parts nor orders."""
+
+
+@router.get("/{parameter_set_id}/reasons", openapi_extra=WHOLE)
 def list_reasons(parameter_set_id: str, caller: Reader, db: Db) -> ReasonList:
     """Say in plain words why the verdict is what it is: each reason with figure, limit and what may mend it."""
     with db.read() as session:

@@ -21,12 +21,11 @@ from app.access.caller import Caller
 from app.errors import NotFoundError
 from app.http.paging import cut, part_of
 from app.http.schemas import utc_text
-from app.parameter_sets.repository import matching
+from app.parameter_sets.repository import SETS, matching
 from app.parameter_sets.schemas import ParameterSetQuery, ParameterSetSummary
 from app.parameter_sets.tables import ParameterSet, ParameterSetSession
 from app.satellites.repository import within_reach
 
-KEYS: Final = (ParameterSet.id,)
 OWN: Final = ("id", "satellite", "magnetometer", "session_ids", "job_id", "status", "created_at")
 """What a parameter set's columns tell, whatever its record says of them."""
 AS_WRITTEN: Final = '{"status": "candidate", '
@@ -63,10 +62,10 @@ class Listed:
 
 
 def listed(connection: Connection, caller: Caller, query: ParameterSetQuery) -> Listed:
-    """Return a part of the list, the newest first."""
-    statement = select(ParameterSet.id, ParameterSet.status).where(*matching(query, caller))
-    is_up = query.sort == "created"
-    rows, cursor = cut(list(connection.execute(part_of(statement, KEYS, query, is_up=is_up)).all()), KEYS, query)
+    """Return a part of the list."""
+    columns = (ParameterSet.id, ParameterSet.status, ParameterSet.data_from)
+    statement = select(*columns).where(*matching(query, caller), SETS.holding(query))
+    rows, cursor = cut(list(connection.execute(part_of(statement, SETS, query)).all()), SETS, query)
     total = None
     if query.total:
         total = connection.execute(select(func.count()).select_from(statement.subquery())).scalar_one()

@@ -35,8 +35,12 @@ PLACES: Final = Places("pointing simulations")
 class PointingQuery(Filter):
     """The circular orbit on which the satellite points."""
 
-    altitude_km: float | None = Field(None, ge=100, le=100_000, description="Unset: the satellite's own.")
-    inclination_deg: float | None = Field(None, ge=0, le=180, description="Unset: the satellite's own.")
+    altitude_km: float | None = Field(
+        None, ge=100, le=100_000, description="Of a circular orbit, km; unset: the satellite's own."
+    )
+    inclination_deg: float | None = Field(
+        None, ge=0, le=180, description="Of the orbit, deg; unset: the satellite's own."
+    )
 
 
 class PointingRead(Record):

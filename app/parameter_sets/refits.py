@@ -77,7 +77,9 @@ class RefitModelRead(Record):
     regressors: list[str]
     parameters: int = Field(description="How many unknowns it has, the clock not counted.")
     rms_nt: float | None
-    cross_validated_rms_nt: float | None = Field(description="Null where a part of the data does not determine it.")
+    cross_validated_rms_nt: float | None = Field(
+        description="Residual on unseen blocks, nT; null where a part of the data does not determine it."
+    )
     cost: float | None = Field(description="Weighted sum of squares, nT^2.")
     log_evidence: float | None = Field(description="Null where unseen blocks decide instead of the evidence.")
     surrogate_max: float | None = Field(description="Null likewise.")
@@ -119,9 +121,9 @@ class RefitRead(Record):
         "with errors of the reference."
     )
     changes: list[ParameterChangeRead]
-    rms_nt: float | None = Field(description="Residual of the refit, weighted.")
+    rms_nt: float | None = Field(description="Residual of the refit, weighted, nT.")
     cross_validated_rms_nt: float | None = Field(
-        description="Residual on six spans of time, each left out in turn; null where the rest determines too little."
+        description="Residual on six spans of time, each left out in turn, nT; null where the rest tells too little."
     )
     samples: int = Field(description="That the refit rests on.")
     blocks: int = Field(description="Of time, that the standard errors rest on.")

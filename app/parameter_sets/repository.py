@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.errors import ConflictError, NotFoundError, ReasonRequiredError, RefusedVerdictError
-from app.http.paging import Part, fetch_page, has_part
+from app.http.paging import Part, Ways, fetch_page
 from app.outbox.events import Event, parameter_set_activated, parameter_set_created
 from app.outbox.log import append
 from app.parameter_sets.schemas import ParameterSetQuery, ParameterSetRead
@@ -22,6 +22,10 @@ from app.satellites.tables import Magnetometer
 from app.storage.database import new_id, utc_now
 from app.storage.store import Store, digest, moments_key, residuals_key
 
+SETS: Final = Ways(
+    {"created": (ParameterSet.id,), "data_from": (ParameterSet.data_from, ParameterSet.id)},
+    searched=(ParameterSet.id, ParameterSet.satellite_id, ParameterSet.magnetometer_id),
+)
 KEYS: Final[Mapping[str, Callable[[str], str]]] = {"residuals": residuals_key, "moments": moments_key}
 """What is kept beside a parameter set's row, and under which key."""
 
@@ -68,9 +72,9 @@ class ParameterSetRepository:
         return self.session.scalar(select(ParameterSet).where(*place, ParameterSet.status == "active", reached))
 
     def page(self, query: ParameterSetQuery) -> Part[ParameterSet]:
-        """Return a part of the parameter sets, the newest first."""
+        """Return a part of the parameter sets."""
         statement = select(ParameterSet).where(*matching(query, self.caller))
-        return fetch_page(self.session, statement, (ParameterSet.id,), query)
+        return fetch_page(self.session, statement, SETS, query)
 
     def session_ids(self, rows: Sequence[ParameterSet]) -> dict[str, list[str]]:
         """Return the sessions of each parameter set."""
@@ -214,7 +218,7 @@ def _activated(before: Activation | None, after: ParameterSet | None, caller: Ca
 
 
 def matching(query: ParameterSetQuery, caller: Caller) -> list[ColumnElement[bool]]:
-    """Return the conditions of the parameter sets that ``query`` asks for and the caller reaches."""
+    """Return the conditions of the parameter sets that ``query`` asks for, its search aside, and the caller reaches."""
     found = [within_reach(ParameterSet.satellite_id, caller)]
     equal = {
         ParameterSet.satellite_id: query.satellite,
@@ -233,8 +237,6 @@ def matching(query: ParameterSetQuery, caller: Caller) -> list[ColumnElement[boo
         found.append(ParameterSet.data_until >= query.since)
     if query.until is not None:
         found.append(ParameterSet.data_from <= query.until)
-    if query.q is not None:
-        found.append(has_part(query.q, ParameterSet.id, ParameterSet.satellite_id, ParameterSet.magnetometer_id))
     if query.at is not None:
         found.append(ParameterSet.id.in_(_in_force(query.at, query, caller)))
     return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import ConfigDict, Field, JsonValue
 
@@ -114,6 +114,10 @@ class ParameterSetSummary(Record):
     rms_nt: float | None = Field(description="Residual RMS of the fit, nT.")
 
 
+SetSort = Literal["created", "-created", "data_from", "-data_from"]
+SET_SORTS: Final = "`-created`: the newest first; `data_from` is the first instant of the data."
+
+
 class ParameterSetQuery(PageQuery):
     """Which parameter sets to list."""
 
@@ -128,8 +132,7 @@ class ParameterSetQuery(PageQuery):
     until: UtcTime | None = Field(None, description="Made from data that begin at this time or before.")
     at: UtcTime | None = Field(None, description="In force at this time.")
     q: Search | None = Field(None, description="Part of an id of the set, its satellite or magnetometer.")
-    sort: Literal["created", "-created"] = Field("-created", description="`-created`: the newest first.")
-    view: Literal["full", "summary"] = Field("full", description="`summary`: a set in under 500 bytes.")
+    sort: SetSort = Field("-created", description=SET_SORTS)
 
 
 class TableQuery(Filter):

@@ -62,7 +62,9 @@ class CalibrationOptionsBody(Body):
     response: Annotated[str, OneOf(RESPONSES)] | None = None
     robust: Annotated[str, OneOf(ROBUST_LOSSES)] | None = None
     noise_model: Annotated[str, OneOf(NOISE_MODELS)] | None = None
-    noise_nt: float | None = Field(None, gt=0, description="Unset: the magnetometer's.")
+    noise_nt: float | None = Field(
+        None, gt=0, description="Noise of one reading, nT, 1 sigma; unset: the magnetometer's."
+    )
     integration_s: float | None = Field(
         None, ge=0, le=60, description="Time over which a reading is averaged, s; unset: the magnetometer's."
     )

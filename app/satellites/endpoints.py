@@ -9,6 +9,7 @@ from fastapi import APIRouter, Query, Response
 
 from app.access.authentication import Operator, Reader
 from app.http.dependencies import Db
+from app.http.paging import answered, page_of
 from app.http.schemas import Page
 from app.http.strict_json import StrictJsonRoute
 from app.satellites.reading import unit_of
@@ -16,12 +17,15 @@ from app.satellites.repository import SatelliteRepository
 from app.satellites.schemas import (
     MagnetometerChange,
     MagnetometerCreate,
+    MagnetometerQuery,
     MagnetometerRead,
+    MagnetometerShort,
     Policy,
     SatelliteChange,
     SatelliteCreate,
     SatelliteQuery,
     SatelliteRead,
+    SatelliteShort,
 )
 from app.satellites.tables import Magnetometer, Satellite
 
@@ -62,14 +66,15 @@ def create_satellite(body: SatelliteCreate, caller: Operator, db: Db, response: 
     return _satellite(row, [])
 
 
-@router.get("")
-def list_satellites(query: Annotated[SatelliteQuery, Query()], caller: Reader, db: Db) -> Page[SatelliteRead]:
+@router.get("", response_model=Page[SatelliteRead] | Page[SatelliteShort])
+def list_satellites(query: Annotated[SatelliteQuery, Query()], caller: Reader, db: Db) -> Response:
     """List the satellites, the newest first."""
     with db.read() as session:
         satellites = SatelliteRepository(session, caller)
-        rows, cursor, total = satellites.page(query)
-        sensors = satellites.magnetometers([row.id for row in rows])
-    return Page(items=[_satellite(row, sensors[row.id]) for row in rows], next=cursor, total=total)
+        found = satellites.page(query)
+        sensors = satellites.magnetometers([row.id for row in found.rows])
+    items = [_satellite(row, sensors[row.id]) for row in found.rows]
+    return answered(page_of(items, found, query, SatelliteShort))
 
 
 @router.get("/{satellite_id}")
@@ -97,13 +102,14 @@ def create_magnetometer(satellite_id: str, body: MagnetometerCreate, caller: Ope
         return _magnetometer(SatelliteRepository(session, caller).add_magnetometer(satellite_id, body))
 
 
-@router.get("/{satellite_id}/magnetometers")
-def list_magnetometers(satellite_id: str, caller: Reader, db: Db) -> Page[MagnetometerRead]:
+@router.get("/{satellite_id}/magnetometers", response_model=Page[MagnetometerRead] | Page[MagnetometerShort])
+def list_magnetometers(
+    satellite_id: str, query: Annotated[MagnetometerQuery, Query()], caller: Reader, db: Db
+) -> Response:
     """List the magnetometers of a satellite."""
     with db.read() as session:
-        satellites = SatelliteRepository(session, caller)
-        rows = satellites.magnetometers([satellites.get(satellite_id).id])[satellite_id]
-    return Page(items=[_magnetometer(row) for row in rows])
+        found = SatelliteRepository(session, caller).page_of_magnetometers(satellite_id, query)
+    return answered(page_of([_magnetometer(row) for row in found.rows], found, query, MagnetometerShort))
 
 
 @router.get("/{satellite_id}/magnetometers/{magnetometer_id}")

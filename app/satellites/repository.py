@@ -3,25 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
-from sqlalchemy import ColumnElement, Select, select, true
+from sqlalchemy import ColumnElement, select, true
 from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.errors import ConflictError, NotFoundError
-from app.http.paging import Part, fetch_page, has_part
-from app.http.schemas import PageQuery
+from app.http.paging import Part, Ways, fetch_page
 from app.satellites.reading import changed
 from app.satellites.schemas import (
     MagnetometerChange,
     MagnetometerCreate,
+    MagnetometerQuery,
     SatelliteChange,
     SatelliteCreate,
     SatelliteQuery,
 )
 from app.satellites.tables import Magnetometer, Satellite
 from app.storage.database import utc_now
+
+SATELLITES: Final = Ways(
+    {"created": (Satellite.created_at, Satellite.id), "id": (Satellite.id,)},
+    searched=(Satellite.id, Satellite.name, Satellite.norad_id, Satellite.cospar_id),
+)
+MAGNETOMETERS: Final = Ways(
+    {"id": (Magnetometer.id,), "created": (Magnetometer.created_at, Magnetometer.id)}, searched=(Magnetometer.id,)
+)
 
 
 def within_reach(column: InstrumentedAttribute[str], caller: Caller) -> ColumnElement[bool]:
@@ -54,18 +63,15 @@ class SatelliteRepository:
             raise NotFoundError("no such satellite")
         return row
 
-    def page(self, query: PageQuery) -> Part[Satellite]:
-        """Return a part of the satellites, the newest first unless asked otherwise."""
-        is_up = isinstance(query, SatelliteQuery) and query.sort == "created"
-        keys = (Satellite.created_at, Satellite.id)
-        return fetch_page(self.session, self._wanted(query), keys, query, is_up=is_up)
+    def page(self, query: SatelliteQuery) -> Part[Satellite]:
+        """Return a part of the satellites."""
+        reached = select(Satellite).where(within_reach(Satellite.id, self.caller))
+        return fetch_page(self.session, reached, SATELLITES, query)
 
-    def _wanted(self, query: PageQuery) -> Select[Satellite]:
-        statement = select(Satellite).where(within_reach(Satellite.id, self.caller))
-        if isinstance(query, SatelliteQuery) and query.q is not None:
-            own = Satellite
-            statement = statement.where(has_part(query.q, own.id, own.name, own.norad_id, own.cospar_id))
-        return statement
+    def page_of_magnetometers(self, satellite_id: str, query: MagnetometerQuery) -> Part[Magnetometer]:
+        """Return a part of the magnetometers of a satellite."""
+        own = select(Magnetometer).where(Magnetometer.satellite_id == self.get(satellite_id).id)
+        return fetch_page(self.session, own, MAGNETOMETERS, query)
 
     def add_magnetometer(self, satellite_id: str, wanted: MagnetometerCreate) -> Magnetometer:
         """Return the new magnetometer ``wanted`` of a satellite."""

@@ -82,17 +82,30 @@ class MagnetometerCreate(ReadingBody):
     policy: Policy | None = None
 
 
-class MagnetometerRead(Record):
-    """A magnetometer as it is kept."""
+class MagnetometerQuery(PageQuery):
+    """Which magnetometers of a satellite to list."""
+
+    q: Search | None = Field(None, description="Part of an id.")
+    sort: Literal["id", "-id", "created", "-created"] = Field("id", description="`-created`: the newest first.")
+
+
+class MagnetometerShort(Record):
+    """A magnetometer in under 500 bytes."""
 
     id: str
     satellite: str
     unit: str
     noise_nt: float | None
     integration_s: float | None
+    range_nt: float | None
+    created_at: UtcTime
+
+
+class MagnetometerRead(MagnetometerShort):
+    """A magnetometer as it is kept."""
+
     columns: dict[str, str] | None
     axis_map: list[str] | None
-    range_nt: float | None
     nt_per_count: float | None
     time_format: str | None
     time_epoch: str | None
@@ -100,7 +113,6 @@ class MagnetometerRead(Record):
     validity_column: str | None
     valid_values: list[str | float] | None
     policy: Policy | None
-    created_at: UtcTime
 
 
 class SatelliteLimits(Body):
@@ -141,7 +153,7 @@ class SatelliteQuery(PageQuery):
     """Which satellites to list."""
 
     q: Search | None = Field(None, description="Part of an id, name or catalogue number.")
-    sort: Literal["created", "-created"] = Field("-created", description="`-created`: the newest first.")
+    sort: Literal["created", "-created", "id", "-id"] = Field("-created", description="`-created`: the newest first.")
 
 
 class MagnetometerChange(ReadingBody):
@@ -153,8 +165,8 @@ class MagnetometerChange(ReadingBody):
     policy: Policy | None = None
 
 
-class SatelliteRead(Record):
-    """A spacecraft with its magnetometers."""
+class SatelliteShort(Record):
+    """A spacecraft without its magnetometers, in under 500 bytes."""
 
     id: str
     name: str | None
@@ -165,4 +177,9 @@ class SatelliteRead(Record):
     orbit_stale_days: float | None
     station_silent_hours: float | None
     created_at: UtcTime
+
+
+class SatelliteRead(SatelliteShort):
+    """A spacecraft with its magnetometers."""
+
     magnetometers: list[MagnetometerRead]

@@ -10,12 +10,21 @@ from fastapi import APIRouter, Query, Request, Response
 from app.access.authentication import Reader
 from app.access.caller import Caller
 from app.http.dependencies import Blobs, Db
+from app.http.paging import answered, page_of
 from app.http.schemas import Page, Slug, core_times
 from app.http.strict_json import StrictJsonRoute
 from app.http.tables import TABLES, table_response, wanted_format
 from app.satellites.repository import SatelliteRepository
 from app.sessions.repository import SessionRepository, samples_of
-from app.sessions.schemas import AgreementRead, ChunkRead, SampleQuery, SessionDetail, SessionQuery, SessionRead
+from app.sessions.schemas import (
+    AgreementRead,
+    ChunkRead,
+    SampleQuery,
+    SessionDetail,
+    SessionQuery,
+    SessionRead,
+    SessionShort,
+)
 from app.sessions.tables import SessionMonitoring, TelemetrySession
 from magcal_core.telemetry import write_samples
 
@@ -49,20 +58,21 @@ def require_satellite(satellite_id: str, caller: Caller, db: Db) -> None:
         SatelliteRepository(session, caller).get(satellite_id)
 
 
-@router.get("/sessions")
-def list_sessions(query: Annotated[SessionQuery, Query()], caller: Reader, db: Db) -> Page[SessionRead]:
+@router.get("/sessions", response_model=Page[SessionRead] | Page[SessionShort])
+def list_sessions(query: Annotated[SessionQuery, Query()], caller: Reader, db: Db) -> Response:
     """List the sessions, the newest first."""
     with db.read() as session:
         sessions = SessionRepository(session, caller)
-        rows, cursor, total = sessions.page(query)
-        judged = sessions.judgements([row.id for row in rows])
-    return Page(items=[session_read(row, judged=judged.get(row.id)) for row in rows], next=cursor, total=total)
+        found = sessions.page(query)
+        judged = sessions.judgements([row.id for row in found.rows])
+    items = [session_read(row, judged=judged.get(row.id)) for row in found.rows]
+    return answered(page_of(items, found, query, SessionShort))
 
 
-@router.get("/satellites/{satellite_id}/sessions")
+@router.get("/satellites/{satellite_id}/sessions", response_model=Page[SessionRead] | Page[SessionShort])
 def list_satellite_sessions(
     satellite_id: Slug, query: Annotated[SessionQuery, Query()], caller: Reader, db: Db
-) -> Page[SessionRead]:
+) -> Response:
     """List the sessions of a satellite, the newest first."""
     require_satellite(satellite_id, caller, db)
     return list_sessions(query.model_copy(update={"satellite": satellite_id}), caller, db)

@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session
 from app.access.audit_trail import NEW_EVENT, event_of, record_event
 from app.access.caller import Caller
 from app.errors import ConflictError, ExpiredError, NotFoundError, QuotaError
-from app.http.paging import Part, fetch_page, has_part
+from app.http.paging import Part, Ways, fetch_page
 from app.satellites.repository import within_reach
 from app.satellites.tables import Magnetometer, Satellite
 from app.sessions.chunk_format import decode
@@ -30,6 +30,10 @@ from magcal_core.telemetry import merge_samples
 
 DAY: Final = timedelta(days=1)
 REMOVED: Final = "the telemetry is past its satellite's retention and has been removed"
+ARRIVED: Final = Ways(
+    {"arrived": (TelemetrySession.id,)},
+    searched=(TelemetrySession.id, TelemetrySession.satellite_id, TelemetrySession.magnetometer_id),
+)
 SESSIONS: Final = TelemetrySession.metadata.tables["session"]
 CHUNKS: Final = Chunk.metadata.tables["chunk"]
 """Without the mapper, for what an upload writes while it holds the writer's turn."""
@@ -123,9 +127,8 @@ class SessionRepository:
         return row
 
     def page(self, query: SessionQuery) -> Part[TelemetrySession]:
-        """Return a part of the sessions, the newest first unless asked otherwise."""
-        wanted = self._wanted(query)
-        return fetch_page(self.session, wanted, (TelemetrySession.id,), query, is_up=query.sort == "arrived")
+        """Return a part of the sessions."""
+        return fetch_page(self.session, self._wanted(query), ARRIVED, query)
 
     def _wanted(self, query: SessionQuery) -> Select[TelemetrySession]:
         statement = select(TelemetrySession).where(within_reach(TelemetrySession.satellite_id, self.caller))
@@ -145,9 +148,6 @@ class SessionRepository:
         if query.agreement is not None:
             judged = select(SessionMonitoring.session_id).where(SessionMonitoring.grade == query.agreement)
             statement = statement.where(TelemetrySession.id.in_(judged))
-        if query.q is not None:
-            own = TelemetrySession
-            statement = statement.where(has_part(query.q, own.id, own.satellite_id, own.magnetometer_id))
         return statement
 
     def judgements(self, session_ids: Sequence[str]) -> dict[str, SessionMonitoring]:

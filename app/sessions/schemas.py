@@ -32,23 +32,28 @@ class AgreementRead(Record):
     judged_at: UtcTime
 
 
-class SessionRead(Record):
-    """A session as it stands."""
+class SessionShort(Record):
+    """A session in under 500 bytes."""
 
     id: str
     satellite: str
     magnetometer: str
     state: Literal["open", "closed"]
-    sha256: str | None
-    size_bytes: int
     samples: int
     used_samples: int
     data_from: UtcTime | None
     data_until: UtcTime | None
+    created_at: UtcTime
+
+
+class SessionRead(SessionShort):
+    """A session as it stands."""
+
+    sha256: str | None
+    size_bytes: int
     columns: list[str]
     quality: dict[str, JsonValue]
     raw_removed_at: UtcTime | None
-    created_at: UtcTime
     created_by: str | None
     closed_at: UtcTime | None
     monitoring: AgreementRead | None = Field(

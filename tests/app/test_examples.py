@@ -90,22 +90,36 @@ def test_every_column_of_the_grafana_dashboard_is_in_the_answer_that_it_asks_for
     dashboard = json.loads((EXAMPLES / "grafana-dashboard.json").read_text())
     document = api.get("/../../openapi.json").json()
     components = document["components"]["schemas"]
-    for panel in dashboard["panels"]:
-        for target in panel["targets"]:
-            path = target["url"].removeprefix("${url}").partition("?")[0].replace("${satellite}", "{satellite_id}")
-            answer = document["paths"][path]["get"]["responses"]["200"]["content"]["application/json"]["schema"]
-            item = field_of(answer, "items", components)["items"]
-            for column in target["columns"]:
-                assert field_of(item, column["selector"], components) is not None, (path, column["selector"])
+    for target in asked_by(dashboard):
+        path = target["url"].removeprefix("${url}").partition("?")[0].replace("${satellite}", "{satellite_id}")
+        answer = document["paths"][path]["get"]["responses"]["200"]["content"]["application/json"]["schema"]
+        item = field_of(answer, "items", components)["items"]
+        for column in target["columns"]:
+            assert field_of(item, column["selector"], components) is not None, (path, column["selector"])
+
+
+def asked_by(dashboard: dict) -> list[dict]:
+    """Return every query of a dashboard: of its panels, and of its variables."""
+    panels = [target for panel in dashboard["panels"] for target in panel["targets"]]
+    variables = [one["query"]["infinityQuery"] for one in dashboard["templating"]["list"] if one["type"] == "query"]
+    return panels + variables
+
+
+def test_the_grafana_dashboard_shows_one_magnetometer_at_a_time():
+    dashboard = json.loads((EXAMPLES / "grafana-dashboard.json").read_text())
+    queries = {one["name"]: one["query"] for one in dashboard["templating"]["list"] if one["type"] == "query"}
+    assert list(queries) == ["satellite", "magnetometer"]
+    histories = [one["url"] for one in asked_by(dashboard) if "/history" in one["url"]]
+    assert len(histories) == 8
+    assert all(one.endswith("&magnetometer=${magnetometer}") for one in histories)
 
 
 def test_the_grafana_dashboard_s_calls_answer(service, satellite: str):
     """With a key of one satellite: other tests leave sets in the shared service that no calibration has made."""
     dashboard = json.loads((EXAMPLES / "grafana-dashboard.json").read_text())
     with service.client(service.key("read", satellites=[satellite])) as api:
-        for panel in dashboard["panels"]:
-            for target in panel["targets"]:
-                path = target["url"].removeprefix("${url}/api/v1").replace("${satellite}", satellite)
-                answer = api.get(path)
-                assert answer.status_code == 200, answer.text
-                assert "items" in answer.json()
+        for target in asked_by(dashboard):
+            path = target["url"].removeprefix("${url}/api/v1").replace("${satellite}", satellite)
+            answer = api.get(path.replace("${magnetometer}", "mgm"))
+            assert answer.status_code == 200, answer.text
+            assert "items" in answer.json()

@@ -28,6 +28,8 @@ FLAGS = [
     "--disable-sync",
 ]
 START_S = 60.0
+MOST_STOPS = 1000
+"""Of the Tab key on any page, its figures' buttons with it."""
 COUNT_REQUESTS = """
   window.asked = { open: 0, quietSince: performance.now() };
   const plain = window.fetch;
@@ -139,6 +141,33 @@ def browser() -> Iterator[Browser]:
 def wait_until_quiet(page: Page) -> None:
     """Wait until a page that `watched` has opened has asked the service for nothing for half a second."""
     page.wait_for_function(QUIET, polling=100)
+
+
+def check_keyboard(page: Page) -> None:
+    """Check that the Tab key comes to all that can be clicked in a page, and that one sees where it is."""
+    wanted = page.evaluate(
+        """() => [...document.querySelectorAll("main :is(a[href], button, input, select, textarea, summary)")]
+          .filter((node) => node.checkVisibility() && !node.disabled && !node.closest(".plot"))
+          .map((node, i) => { node.dataset.reach = i; return String(i); })"""
+    )
+    page.evaluate("() => document.querySelector('.skip').focus()")
+    reached = set()
+    for _ in range(MOST_STOPS):
+        page.keyboard.press("Tab")
+        mark, is_shown, is_round = page.evaluate(
+            """() => { const node = document.activeElement;
+               const isShown = node.matches(":focus-visible") || node.type === "datetime-local";
+               return [node.dataset.reach ?? null, isShown, node.matches(".skip, body")]; }"""
+        )
+        if is_round:
+            break
+        if mark is not None:
+            reached.add(mark)
+            assert is_shown, page.evaluate("() => document.activeElement.outerHTML.slice(0, 200)")
+    left = sorted(set(wanted) - reached, key=int)
+    assert [
+        page.locator(f'[data-reach="{one}"]').evaluate_all("(all) => all.map((one) => one.outerHTML)") for one in left
+    ] == []
 
 
 def watched(context: BrowserContext, service: Service) -> Watched:

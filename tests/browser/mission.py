@@ -65,6 +65,7 @@ def fly(client: httpx2.Client, rows: int = 700) -> Mission:
     return Mission(
         {
             "overview": "/",
+            "wall": "/?display=wall",
             "satellite": f"/satellites/{SATELLITE}",
             "magnetometer": f"/satellites/{SATELLITE}/magnetometers/mgm-1",
             "magnetometers": f"/satellites/{SATELLITE}/magnetometers",

@@ -1,6 +1,7 @@
 """Pictures of every page from a mission of its own, for whoever looks: `make pictures`.
 
-Light and dark, as wide as a laptop and as a phone: PAGE-THEME-WIDTH.png in the folder that is named.
+Light and dark, on a laptop, a wide screen, a phone, and a laptop at 200 %: PAGE-THEME-LOOK.png in the folder that is
+named; and each page as the dark one prints, PAGE-print.png.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from tests.browser.conftest import BROWSERS, FLAGS, Service, serve, sign_in
 from tests.browser.mission import fly
 
-SIZES = ((1366, 768), (390, 844))
+LOOKS = {"1366": (1366, 768, 1), "2560": (2560, 1440, 1), "390": (390, 844, 2), "200-percent": (683, 384, 2)}
+"""Name -> width and height in the page's own pixels, and pixels of the screen in one of them."""
 THEMES = ("light", "dark")
 WAIT_MS = 60_000
 
@@ -27,22 +29,29 @@ def settle(page: Page) -> None:
         node?.scrollIntoView(); return node === null; }"""
     page.wait_for_timeout(700)
     page.wait_for_function(next_one, timeout=WAIT_MS, polling=200)
+    page.evaluate("() => scrollTo(0, document.body.scrollHeight)")
+    page.wait_for_function("() => !document.body.innerText.includes('Loading …')", timeout=WAIT_MS)
     page.evaluate("() => scrollTo(0, 0)")
 
 
 def take(browser: Browser, service: Service, addresses: dict[str, str], folder: Path) -> None:
     """Take every page in every look, and the sign-in page."""
     for theme in THEMES:
-        for width, height in SIZES:
-            context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=theme)
+        for look, (width, height, scale) in LOOKS.items():
+            screen = {"width": width, "height": height}
+            context = browser.new_context(viewport=screen, device_scale_factor=scale, color_scheme=theme)
             page = context.new_page()
             page.goto(service.url + "/")
-            page.screenshot(path=folder / f"sign-in-{theme}-{width}.png")
+            page.screenshot(path=folder / f"sign-in-{theme}-{look}.png")
             sign_in(page, service)
             for name, address in addresses.items():
                 page.goto(service.url + address)
                 settle(page)
-                page.screenshot(path=folder / f"{name}-{theme}-{width}.png", full_page=True)
+                page.screenshot(path=folder / f"{name}-{theme}-{look}.png", full_page=True)
+                if (theme, look) == ("dark", "1366"):
+                    page.emulate_media(media="print")
+                    page.screenshot(path=folder / f"{name}-print.png", full_page=True)
+                    page.emulate_media(media="screen")
             context.close()
 
 

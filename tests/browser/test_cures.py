@@ -104,3 +104,28 @@ def test_the_open_page_of_keys_shows_what_was_done_by_whom_and_to_what(
     link = row.locator(f'a[href="/parameter-sets/{sets["good"]}"]')
     expect(link).to_be_visible()
     expect(row).to_contain_text(names[newest["key_id"]] or newest["key_id"])
+
+
+def test_a_refused_set_comes_into_force_by_a_grey_button_and_with_a_reason_alone(
+    window: Watched, sets: dict[str, str], service: Service
+) -> None:
+    with service.client() as client:
+        found = {one: client.get(f"/parameter-sets/{one}").json()["verdict"]["grade"] for one in sets.values()}
+    refused = next(one for one, grade in found.items() if grade == "refuse")
+    page = window.open(f"/parameter-sets/{refused}")
+    button = page.get_by_role("button", name="Activate although refused")
+    expect(button).to_have_class("grey")
+    button.click()
+    dialog = page.get_by_role("dialog")
+    put = dialog.get_by_role("button", name="Put the refused set in force")
+    expect(put).to_have_class("grey")
+    put.click()
+    expect(dialog).to_be_visible()
+    with service.client() as client:
+        assert client.get(f"/parameter-sets/{refused}").json()["status"] != "active"
+    dialog.get_by_label("Why it comes into force").fill("Nothing better until Thursday")
+    put.click()
+    expect(page.locator(".status-active")).to_be_visible()
+    with service.client() as client:
+        told = client.get("/audit", params={"q": "until thursday"}).json()["items"]
+    assert [(one["action"], one["subject"]) for one in told] == [("parameter_set.activate", refused)]

@@ -118,6 +118,8 @@ def test_the_faults_of_a_file_stand_at_their_rows(window: Watched, satellite: st
     expect(faults).to_have_count(2, timeout=JOB_MS)
     expect(faults.nth(0)).to_contain_text("line 13, column by")
     expect(faults.nth(1)).to_contain_text("line 31, column time")
+    page.get_by_role("button", name="Clear faulty.csv").click()
+    expect(faults).to_have_count(0)
     window.errors.clear()  # Chromium itself reports every answer of 422 in the console
 
 

@@ -63,7 +63,7 @@ export function line(entry, again, { withPlace = true, names = new Map() } = {})
         h("span", { class: "muted", title: time(entry.since) }, `since ${ago(entry.since)}`)),
       h("p", {}, h("span", { class: "hidden-word" }, entry.severity === "act" ? "To do: " : "To watch: "), entry.text),
       h("p", { class: "muted small" }, links(entry).flatMap((one, i) => (i ? [" · ", one] : [one])), " ", h("code", {}, entry.code),
-        seen ? [h("br"), `Acknowledged ${ago(seen.at)} by ${seen.by ?? "–"}${seen.until ? ` until ${time(seen.until)}` : ""}: ${seen.note ?? ""}`] : null)),
+        seen ? [h("br"), `Acknowledged ${ago(seen.at)} by ${seen.author ?? seen.by ?? "–"}${seen.until ? ` until ${time(seen.until)}` : ""}: ${seen.note ?? ""}`] : null)),
     h("div", { class: "actions" }, button(entry, again),
       !seen && may("operate") ? h("button", { type: "button", class: "quiet", "aria-label": `Acknowledge ${entry.satellite_id} ${entry.magnetometer_id} ${entry.code}`,
         onclick: () => acknowledge(entry, again) }, "Acknowledge …") : null));

@@ -4,7 +4,7 @@ import { live } from "./live.js";
 import { differenceTable } from "./parameters.js";
 import { plot } from "./plot.js";
 
-const WORDS = { same: ["accept", "● Same"], differs: ["refuse", "✕ Differs"], cannot_tell: ["weak", "◆ Cannot tell"] };
+const WORDS = { same: ["accept", "● Agree"], differs: ["refuse", "✕ Differ"], cannot_tell: ["weak", "◆ Cannot tell"] };
 const query = new URLSearchParams(location.search);
 
 function head(record, heading) {

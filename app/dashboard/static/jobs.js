@@ -10,7 +10,7 @@ const IDLE_MS = 10000;
 
 function result(job) {
   const set = job.result?.parameter_set_id;
-  if (set && job.verdict) return h("a", { href: `/parameter-sets/${set}` }, grade(job.verdict), ` set ${short(set)}`);
+  if (set && job.verdict) return [grade(job.verdict), " ", h("a", { href: `/parameter-sets/${set}` }, `set ${short(set)}`)];
   if (set) return h("a", { href: `/parameter-sets/${set}` }, `set ${short(set)}`);
   if (job.error) return h("details", {}, h("summary", {}, job.error.code), job.error.detail, causes(job.error.diagnosis));
   return "–";

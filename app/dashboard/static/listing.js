@@ -1,5 +1,6 @@
 // A table of thousands that the service searches, sorts, counts and cuts: what it shows stands in the page's address.
 import { api, fixed, h, notice } from "./magcal.js";
+import { AT_A_GLANCE, saveCsv } from "./table.js";
 
 const STEPS = [50, 200, 1000];
 
@@ -103,6 +104,7 @@ export function listing(path, columns, { caption, file, facets = [], empty, sort
           onclick: () => set({ [facet.name]: state[facet.name] === value ? null : value, limit: null }) }, word(value))));
     }));
     body.replaceChildren(...answer.items.map((row) => h("tr", { class: look(row) || null, "data-key": keyOf(row) }, columns.map((column) => cellOf(row, column)))));
+    search.hidden = answer.total <= AT_A_GLANCE && !state.q && !facets.some((one) => state[one.name]) && document.activeElement !== search;
     const left = answer.total - answer.items.length;
     count.textContent = answer.total ? `${fixed(answer.items.length, 0)} of ${fixed(answer.total, 0)}` : empty;
     more.hidden = left <= 0 || Number(state.limit ?? 0) >= STEPS.at(-1);
@@ -111,12 +113,7 @@ export function listing(path, columns, { caption, file, facets = [], empty, sort
 
   async function save() {
     const answer = await api(`${path}?${query(STEPS.at(-1))}`);
-    const cell = (value) => (/[",\n]/.test(value) ? `"${value.replaceAll('"', '""')}"` : value);
-    const lines = [columns.map((column) => column.name), ...answer.items.map((row) => columns.map((column) => String(column.value(row) ?? "")))];
-    const blob = new Blob([lines.map((line) => line.map(cell).join(",")).join("\r\n") + "\r\n"], { type: "text/csv" });
-    const link = h("a", { href: URL.createObjectURL(blob), download: `${file}.csv` });
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+    saveCsv(columns, answer.items, file);
     if (answer.next) notice(`Only the first ${fixed(answer.items.length, 0)} of ${fixed(answer.total, 0)} were saved.`);
   }
 

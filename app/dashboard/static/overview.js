@@ -13,13 +13,15 @@ const WORDS = { disagrees: "✕ disagrees", watch: "◆ watch", agrees: "● agr
 const STATES = { act: "refuse", watch: "weak", good: "accept" };
 
 const times = (ratio) => (ratio === null || ratio === undefined ? "" : ` (${fixed(ratio, ratio < 10 ? 1 : 0)} times)`);
+// How many causes there are in all, of which the worst names the state.
+const of = (causes) => (causes > 1 ? `, ${causes} causes` : "");
 
 const COLUMNS = [
   { name: "satellite", sort: "name", value: (r) => r.satellite, show: (r) => [h("a", { class: "named", href: `/satellites/${r.satellite}` }, r.name ?? r.satellite),
     r.name && r.name !== r.satellite ? h("small", {}, r.satellite) : null] },
   { name: "magnetometer", value: (r) => r.magnetometer, show: (r) => (r.magnetometer ? h("a", { href: magnetometerPage(r.satellite, r.magnetometer) }, r.magnetometer) : "–") },
   { name: "state", sort: "worst", value: (r) => r.state, show: (r) => h("span", { class: `badge ${STATES[r.state]}` },
-    { act: `✕ ${r.attention} to do`, watch: `◆ ${r.attention} to watch`, good: "● good" }[r.state]) },
+    { act: `✕ to do${of(r.attention)}`, watch: `◆ to watch${of(r.attention)}`, good: "● good" }[r.state]) },
   { name: "set in force", sort: "verdict", value: (r) => r.verdict, show: (r) => r.parameter_set_id
     ? h("a", { href: `/parameter-sets/${r.parameter_set_id}` }, grade(r.verdict)) : h("span", { class: "muted" }, "none") },
   { name: "newest data", numeric: true, sort: "data_until", value: (r) => r.data_until, show: (r) => r.session_id

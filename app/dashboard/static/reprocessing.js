@@ -7,7 +7,7 @@ import { optionWords } from "./options.js";
 
 const id = location.pathname.split("/")[2];
 const WORDS = { queued: "queued", running: "running", succeeded: "succeeded", failed: "failed", cancelled: "cancelled" };
-const COMPARED = { same: ["accept", "● same"], differs: ["refuse", "✕ differs"], cannot_tell: ["weak", "◆ cannot tell"] };
+const COMPARED = { same: ["accept", "● agrees"], differs: ["refuse", "✕ differs"], cannot_tell: ["weak", "◆ cannot tell"] };
 const ACTIVE_MS = 2000;
 
 // A cell a set, kept over redraws: what its comparison came to.
@@ -22,7 +22,7 @@ const columns = [
   { name: "satellite", value: (r) => r.satellite, show: (r) => [h("a", { href: `/satellites/${r.satellite}` }, r.satellite), ` ${r.magnetometer}`] },
   { name: "state", value: (r) => r.state, show: (r) => state(r.verdict === "refuse" ? "refused" : r.state) },
   { name: "result", value: (r) => r.result?.parameter_set_id ?? r.error?.code ?? "", show: (r) => (r.result?.parameter_set_id
-    ? h("a", { href: `/parameter-sets/${r.result.parameter_set_id}` }, r.verdict ? grade(r.verdict) : "", ` set ${short(r.result.parameter_set_id)}`)
+    ? [r.verdict ? [grade(r.verdict), " "] : "", h("a", { href: `/parameter-sets/${r.result.parameter_set_id}` }, `set ${short(r.result.parameter_set_id)}`)]
     : r.error ? h("span", { title: r.error.detail }, r.error.code) : "–") },
   { name: "beside the set in force", value: (r) => (r.result?.parameter_set_id ? cellOf(r.result.parameter_set_id).textContent : ""), show: (r) => (r.result?.parameter_set_id ? cellOf(r.result.parameter_set_id) : "–") },
 ];
@@ -42,7 +42,7 @@ async function compareAll(jobs, place) {
   const activeOf = inForce();
   const made = jobs.filter((job) => job.result?.parameter_set_id);
   const say = (done) => place.replaceChildren(done < made.length ? `Compared ${done} of ${made.length} …`
-    : `Of ${made.length}: ${counts.differs} differ from the set in force, ${counts.same} say the same, ${counts.cannot_tell} cannot tell${counts.none ? `, ${counts.none} have none to be compared with` : ""}.`);
+    : `Of ${made.length}: ${counts.differs} differ from the set in force, ${counts.same} agree, ${counts.cannot_tell} cannot tell${counts.none ? `, ${counts.none} have none to be compared with` : ""}.`);
   for (const [i, job] of made.entries()) {
     say(i);
     const set = job.result.parameter_set_id;

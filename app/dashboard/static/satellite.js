@@ -66,7 +66,7 @@ function orbitUse(orbit, again) {
     again();
   };
   const label = `${orbit.withdrawn_at ? "Restore" : "Withdraw"} the orbit of ${time(orbit.epoch)}`;
-  return [orbit.withdrawn_at ? "withdrawn " : "", may("operate") ? h("button", { type: "button", class: "quiet", "aria-label": label, onclick: change }, orbit.withdrawn_at ? "Restore" : "Withdraw") : "yes"];
+  return [orbit.withdrawn_at ? "withdrawn " : "yes ", may("operate") ? h("button", { type: "button", class: "quiet", "aria-label": label, onclick: change }, orbit.withdrawn_at ? "Restore" : "Withdraw") : null];
 }
 
 function settings(satellite) {
@@ -208,7 +208,7 @@ start(async () => {
   const trendPlace = h("div");
   const attentionPlace = h("div");
   const attention = () => api(`/attention?satellite=${encodeURIComponent(id)}&total=true`).then(
-    (answer) => attentionPlace.replaceChildren(...lines(answer, attention).filter(Boolean)));
+    (answer) => attentionPlace.replaceChildren(...lines(answer, attention, { names: new Map([[id, satellite.name ?? id]]) }).filter(Boolean)));
   show(h("div", { class: "heading" }, h("h1", {}, satellite.name ?? satellite.id), h("p", { class: "muted" },
     [satellite.id, satellite.norad_id && `NORAD ${satellite.norad_id}`, satellite.cospar_id].filter(Boolean).join(" · ")),
     names.length > 1 ? h("p", {}, h("a", { href: `/satellites/${id}/magnetometers` }, "Magnetometers beside each other")) : null),

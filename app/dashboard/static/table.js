@@ -2,6 +2,19 @@
 import { h } from "./magcal.js";
 
 const PAGE = 50;
+// So many rows are seen at a glance: nobody needs to filter them.
+export const AT_A_GLANCE = 9;
+
+// Saves rows as a CSV file. A cell that a spreadsheet would run as a formula gets a quote in front, as the API's tables have it.
+export function saveCsv(columns, rows, file) {
+  const harmless = (value) => (/^[=+\-@\t\r]/.test(value) && !/^[+-]?(\d[\d,]*\.?\d*|\.\d+)([eE][+-]?\d+)?$/.test(value) ? `'${value}` : value);
+  const cell = (value) => ((found) => (/[",\r\n\t]/.test(found) ? `"${found.replaceAll('"', '""')}"` : found))(harmless(String(value ?? "")));
+  const lines = [columns.map((column) => cell(column.name)), ...rows.map((row) => columns.map((column) => cell(column.value(row))))];
+  const blob = new Blob([lines.map((line) => line.join(",")).join("\r\n") + "\r\n"], { type: "text/csv" });
+  const link = h("a", { href: URL.createObjectURL(blob), download: `${file}.csv` });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+}
 
 // columns: [{ name, value: row => number|string, show?: row => text or node, numeric?: bool, heads?: bool, strong?: bool }]
 // The table's own `renew(rows)` shows other rows, sorted and filtered as before.
@@ -50,25 +63,15 @@ export function table(columns, rows, { caption, file = "table", empty = "Nothing
     body.replaceChildren(...all.slice(0, most).map((row) => h("tr", { class: look(row) || null }, columns.map((column) =>
       h(column.heads ? "th" : "td", { scope: column.heads ? "row" : null, class: `${column.numeric ? "n" : ""}${column.strong ? " strong" : ""}` },
         (column.show ?? ((r) => text(column, r)))(row) ?? "–")))));
+    filter.hidden = rows.length <= AT_A_GLANCE && !wanted && document.activeElement !== filter;
     count.textContent = wanted ? `${all.length} of ${rows.length} rows` : `${rows.length} ${rows.length === 1 ? "row" : "rows"}`;
     more.hidden = all.length <= most;
     more.textContent = `Show more (${all.length - most} hidden)`;
   }
 
-  function save() {
-    // A cell that a spreadsheet would run as a formula gets a quote in front, as the API's tables have it.
-    const harmless = (value) => (/^[=+\-@\t\r]/.test(value) && !/^[+-]?(\d[\d,]*\.?\d*|\.\d+)([eE][+-]?\d+)?$/.test(value) ? `'${value}` : value);
-    const cell = (value) => ((found) => (/[",\r\n\t]/.test(found) ? `"${found.replaceAll('"', '""')}"` : found))(harmless(String(value ?? "")));
-    const lines = [columns.map((column) => cell(column.name)), ...found().map((row) => columns.map((column) => cell(text(column, row))))];
-    const blob = new Blob([lines.map((line) => line.join(",")).join("\r\n") + "\r\n"], { type: "text/csv" });
-    const link = h("a", { href: URL.createObjectURL(blob), download: `${file}.csv` });
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
-  }
-
   draw();
   const node = h("div", { class: "table" },
-    h("div", { class: "tools" }, filter, count, h("button", { type: "button", class: "quiet", onclick: save, "aria-label": `Save ${caption} as CSV` }, "CSV")),
+    h("div", { class: "tools" }, filter, count, h("button", { type: "button", class: "quiet", onclick: () => saveCsv(columns, found(), file), "aria-label": `Save ${caption} as CSV` }, "CSV")),
     h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": caption },
       h("table", {}, note ? h("caption", {}, note) : null, h("thead", {}, h("tr", {}, head)), body)), more);
   node.renew = (others) => { rows = others; draw(); };

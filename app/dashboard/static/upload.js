@@ -30,14 +30,17 @@ export function uploader(satellite, magnetometers, sent = () => {}) {
       line.className = "";
       const isOfTheFile = problem.body?.status === 422;
       line.replaceChildren(h("p", {}, h("strong", {}, file.name), " was refused; nothing of it was kept."), problemTable(problem),
-        isOfTheFile ? h("p", {}, h("button", { type: "button", onclick: () => look(file, of, line) }, "Choose its columns, unit and times …")) : "");
+        h("p", {}, isOfTheFile ? h("button", { type: "button", onclick: () => look(file, of, line) }, "Choose its columns, unit and times …") : null, clear(file, line)));
     }
   }
 
   function look(file, of, line) {
     line.className = "";
-    line.replaceChildren(lookAt({ satellite, magnetometer: magnetometers.find((one) => one.id === of), file, headers: headersOf(file), send: () => send(file, of, line) }));
+    line.replaceChildren(clear(file, line), lookAt({ satellite, magnetometer: magnetometers.find((one) => one.id === of), file, headers: headersOf(file), send: () => send(file, of, line) }));
   }
+
+  // What was said of a file goes with one click; nothing of the file was kept.
+  const clear = (file, line) => h("button", { type: "button", class: "quiet", "aria-label": `Clear ${file.name}`, onclick: () => line.remove() }, "Clear");
 
   async function all(files) {
     for (const file of files) {

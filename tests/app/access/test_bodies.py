@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
 
+from app.http.fault_words import OTHERWISE
 from tests.app.access.conftest import build_world
 
 INTERNAL = {
@@ -201,3 +203,28 @@ def test_no_refusal_repeats_a_header(api, world, headers):
     )
     assert ECHO.lower() not in answer.text.lower()
     assert json.loads(answer.content)["code"]
+
+
+WRONG_VALUES = [None, True, -1, 1.5, 10**30, "", "a" * 5000, "\u202e", [], [None] * 2000, {}, {"a": {"b": 1}}]
+VALIDATORS_OWN = re.compile(r"[Ii]nput|should|permitted|[Vv]alue error|Field required|[Uu]nable to")
+
+
+def test_what_is_wrong_with_a_value_is_said_in_our_words(api, document, guarded, world):
+    """Values of every kind in the place of every member and parameter; no word of the validator, none that fits all."""
+    said = {}
+    for operation, schema in writable(document, guarded):
+        sound = dict(world.request(operation).get("json", {}))
+        for name in schema["properties"]:
+            for value in WRONG_VALUES:
+                answer = api.request(operation.method, world.url(operation), json={**sound, name: value, "zz": 1})
+                said |= {fault["why"]: f"{operation.name} {name}" for fault in answer.json().get("errors", [])}
+        answer = api.request(operation.method, world.url(operation), json=[])
+        said |= {fault["why"]: operation.name for fault in answer.json().get("errors", [])}
+    for operation in guarded:
+        for one in operation.document.get("parameters", []):
+            for value in ("", "x" * 3000, "1.5", "-1", "true") if one["in"] == "query" else ():
+                answer = api.request(operation.method, world.url(operation), params={one["name"]: value, "zz": "1"})
+                if answer.status_code == 422:
+                    said |= {fault["why"]: f"{operation.name} {one['name']}" for fault in answer.json()["errors"]}
+    assert len(said) > 40
+    assert {text: where for text, where in said.items() if VALIDATORS_OWN.search(text) or text == OTHERWISE} == {}

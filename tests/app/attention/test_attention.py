@@ -208,10 +208,12 @@ def test_acknowledged_entries_keep_who_and_why_and_come_back_when_the_matter_cha
     """By the operator's key, in the audit; back with another session, and when its time is up."""
     sent(api, orbited, flown)
     entry = entries(api, orbited)["no_active_set"]
-    with service.client(service.key("operate", "read", satellites=[orbited])) as operator:
+    made = {"scopes": ["operate", "read"], "satellites": [orbited], "name": "night shift"}
+    with service.client(api.post("/keys", json=made).json()["key"]) as operator:
         seen = operator.post(f"/attention/{entry['id']}/acknowledge", json={"note": "wait for the next pass"})
         assert seen.status_code == 200, seen.text
         assert seen.json()["acknowledged"]["note"] == "wait for the next pass"
+        assert seen.json()["acknowledged"]["author"] == "night shift"
         counts = operator.get("/attention").json()["counts"]
         assert counts["acknowledged"] == 1
     by = seen.json()["acknowledged"]["by"]

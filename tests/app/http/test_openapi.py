@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import importlib
+import io
 import json
 import re
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,6 +18,8 @@ from openapi_spec_validator import OpenAPIV31SpecValidator
 
 from app.main import create_app
 from app.settings import Settings
+from magcal_core.simulation.dekart_mission import SESSIONS, simulated, tle_text
+from magcal_core.telemetry import write_samples
 
 
 @pytest.fixture(scope="module")
@@ -93,19 +97,46 @@ def test_every_body_and_answer_has_a_schema(document):
                 assert media.get("schema"), (where, kind)
 
 
-def test_every_object_has_an_example_that_its_schema_allows(document):
+def test_every_schema_and_property_has_an_example_that_it_allows(document):
     schemas = document["components"]["schemas"]
-    root = {"$defs": schemas}
+    root = _local({"$defs": schemas})
     seen = 0
     for name, schema in schemas.items():
-        if schema.get("type") != "object":
-            continue
-        for example in schema["examples"]:
-            rooted = {"$ref": f"#/$defs/{name}"} | root
-            text = Draft202012Validator(_local(rooted)).iter_errors(example)
-            assert [f"{error.json_path}: {error.message}" for error in text] == [], name
-            seen += 1
-    assert seen > 100
+        held = {f"{name}.{own}": one for own, one in schema.get("properties", {}).items() if "$ref" not in one}
+        for where, one in {name: schema, **held}.items():
+            assert len(one["examples"]) >= 1, where
+            for example in one["examples"]:
+                rooted = {"$ref": f"#/$defs/{name}"} if where == name else _local(one)
+                text = Draft202012Validator(rooted | root).iter_errors(example)
+                assert [f"{error.json_path}: {error.message}" for error in text] == [], where
+                seen += 1
+    assert seen > 1000
+
+
+UNITS = {
+    "_nt_per_m": "nT/m", "_nt": "nT", "_deg_s": "deg/s", "_deg": "deg", "_km_s": "km/s", "_km": "km", "_days": "day",
+    "_hours": "h", "_bytes": "byte", "_m": " m", "_s": " s",
+}  # fmt: skip
+VECTORS = ("_nt", "_km", "_km_s", "vector_deg", "rotation", "matrix")
+FRAMES = re.compile("frame|axes|axis|magnitude|\\|B\\|")
+
+
+def test_what_has_a_unit_says_it_and_what_is_a_vector_says_its_frame(document):
+    described = {
+        (name, own): (one.get("description", ""), "array" in {one.get("type")})
+        for name, schema in document["components"]["schemas"].items()
+        for own, one in schema.get("properties", {}).items()
+    }
+    for where, operation in operations(document):
+        described |= {(where, one["name"]): (one["description"], False) for one in operation.get("parameters", [])}
+    without_unit, without_frame = [], []
+    for (where, name), (text, is_list) in described.items():
+        unit = next((unit for suffix, unit in UNITS.items() if name.endswith(suffix)), None)
+        if unit is not None and unit not in text:
+            without_unit.append(f"{where}.{name}: {text}")
+        if is_list and name.endswith(VECTORS) and not FRAMES.search(text):
+            without_frame.append(f"{where}.{name}: {text}")
+    assert (without_unit, without_frame) == ([], [])
 
 
 def _local(schema: object) -> object:
@@ -149,3 +180,45 @@ def test_a_generated_client_has_every_call_and_speaks_with_the_service(generated
         assert read == kept
         refused = importlib.import_module(f"{calls}.create_satellite").sync(client=client, body=body)
         assert (refused.status, refused.code) == (409, "conflict")
+
+
+def test_a_generated_client_uploads_calibrates_reads_and_activates(generated, service, names):
+    """The whole way through functions that the generator has made, nothing written by hand."""
+    flown = simulated(SESSIONS[0], 300).samples
+
+    def call(module: str):
+        return importlib.import_module(f"magcal_api.api.{module}").sync
+
+    models = importlib.import_module("magcal_api.models")
+    file = importlib.import_module("magcal_api.types").File
+    client = importlib.import_module("magcal_api").AuthenticatedClient(base_url=service.url, token=service.admin_key)
+    name = next(names)
+    with client:
+        call("satellites.create_satellite")(client=client, body=models.SatelliteCreate(id=name))
+        sensor = models.MagnetometerCreate(id="mgm", unit=models.MagnetometerCreateUnit("nT"), noise_nt=100.0)
+        call("satellites.create_magnetometer")(name, client=client, body=sensor)
+        orbits = call("orbits.create_orbits")(name, client=client, body=file(payload=io.BytesIO(tle_text().encode())))
+        assert orbits.items[0].satellite == name
+        sent = file(payload=io.BytesIO(write_samples(flown, "csv")))
+        session = call("sessions.upload_session")(name, client=client, body=sent, magnetometer="mgm")
+        assert session.samples == len(flown)
+        wanted = models.CalibrationBody(kind="calibration", session_ids=[session.id])
+        job = call("jobs.create_job")(client=client, body=wanted)
+        deadline = time.monotonic() + 120
+        while job.state in {"queued", "running"}:
+            assert time.monotonic() < deadline
+            time.sleep(0.2)
+            job = call("jobs.get_job")(job.id, client=client)
+        assert job.state == "succeeded"
+        made = call("parameter_sets.list_parameter_sets")(client=client, session=session.id).items[0]
+        assert (
+            made.parameters.bias_nt
+            == call("parameter_sets.get_parameter_set")(made.id, client=client).parameters.bias_nt
+        )
+        body = models.ActivateBody(force=True, reason="as the walk goes")
+        put = call("parameter_sets.activate_parameter_set")(made.id, client=client, body=body)
+        assert (put.id, put.status) == (made.id, "active")
+        short = call("parameter_sets.list_parameter_sets")(
+            client=client, session=session.id, view=models.ListParameterSetsView("summary")
+        ).items
+        assert [one.id for one in short] == [made.id]
