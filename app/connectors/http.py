@@ -13,6 +13,8 @@ from magcal_core.errors import MagcalError
 TIMEOUT_S: Final = 60.0
 MOST_BYTES: Final = 64 << 20
 AGENT: Final = "magcal (in-flight magnetometer calibration)"
+_OF_THE_WAY: Final = frozenset({"content-encoding", "content-length", "transfer-encoding"})
+"""Headers that say how a body was sent, not what it is."""
 
 
 class SourceAnswerError(MagcalError):
@@ -38,53 +40,78 @@ class SourceContentError(MagcalError):
     code = "source_content"
 
 
-class SourceClient:
-    """Asks the one host of ``base_url``; requests to any other are refused."""
+def client_of(base_url: str, headers: Mapping[str, str] | None = None) -> httpx2.Client:
+    """Return an HTTP client that asks the one host of ``base_url``, and whose every answer is a 200.
 
-    def __init__(self, base_url: str, headers: Mapping[str, str] | None = None) -> None:
-        parts = urlsplit(base_url)
-        if parts.scheme not in {"http", "https"} or not parts.hostname:
-            raise SourceContentError("the address of a source must be an http or https URL")
-        self._place = (parts.scheme, parts.hostname, parts.port)
-        self._http = httpx2.Client(
-            headers={"user-agent": AGENT, **(headers or {})},
-            timeout=TIMEOUT_S,
-            follow_redirects=False,
-            trust_env=False,
-        )
+    It raises the errors of this module, SourceContentError also where ``base_url`` is no address of HTTP.
+    """
+    parts = urlsplit(base_url)
+    if parts.scheme not in {"http", "https"} or not parts.hostname:
+        raise SourceContentError("the address of a source must be an http or https URL")
+    return httpx2.Client(
+        headers={"user-agent": AGENT, **(headers or {})},
+        timeout=TIMEOUT_S,
+        follow_redirects=False,
+        trust_env=False,
+        transport=_OneHost(httpx2.URL(base_url)),
+    )
 
-    def close(self) -> None:
-        """Give the connections back."""
-        self._http.close()
 
-    def get(self, url: str, params: Mapping[str, str] | None = None) -> bytes:
-        """Return the body of the answer 200 to a GET."""
-        return self._answer("GET", url, params=dict(params or {}))
+class _OneHost(httpx2.BaseTransport):
+    """The way to one host: requests to another are refused, answers but 200 are errors, bodies are bounded.
 
-    def post(self, url: str, form: Mapping[str, str]) -> bytes:
-        """Return the body of the answer 200 to a POST of a form."""
-        return self._answer("POST", url, form=dict(form))
+    What a library makes of an answer (redirects, retries) can so not reach further than the settings.
+    """
 
-    def _answer(
-        self, method: str, url: str, params: dict[str, str] | None = None, form: dict[str, str] | None = None
-    ) -> bytes:
-        """Return the body of the answer to one request.
+    def __init__(self, base: httpx2.URL) -> None:
+        self._place = _place_of(base)
+        self._way = httpx2.HTTPTransport(trust_env=False)
+
+    def handle_request(self, request: httpx2.Request) -> httpx2.Response:
+        """Return the answer 200 to a request, its body read.
 
         Raises
         ------
         SourceAnswerError, SourceUnreachableError, SourceContentError
             The answer is none, not 200, or too long; or the URL is another host's.
         """
-        parts = urlsplit(url)
-        if (parts.scheme, parts.hostname, parts.port) != self._place:
+        if _place_of(request.url) != self._place:
             raise SourceContentError("the source sends us to another host, which the settings do not name")
         try:
-            with self._http.stream(method, url, params=params or None, data=form or None) as answer:
+            answer = self._way.handle_request(request)
+            try:
                 if answer.status_code != 200:
                     raise _refusal(answer)
-                return _bounded(answer)
+                body = _bounded(answer)
+            finally:
+                answer.close()
         except httpx2.HTTPError as error:
             raise SourceUnreachableError(f"no answer: {type(error).__name__}") from error
+        headers = [(name, value) for name, value in answer.headers.multi_items() if name.lower() not in _OF_THE_WAY]
+        return httpx2.Response(200, headers=headers, content=body)
+
+    def close(self) -> None:
+        """Give the connections back."""
+        self._way.close()
+
+
+def _place_of(url: httpx2.URL) -> tuple[str, str, int | None]:
+    return url.scheme, url.host, url.port
+
+
+class SourceClient:
+    """Asks the one host of ``base_url``; requests to any other are refused."""
+
+    def __init__(self, base_url: str, headers: Mapping[str, str] | None = None) -> None:
+        self._http = client_of(base_url, headers)
+
+    def close(self) -> None:
+        """Give the connections back."""
+        self._http.close()
+
+    def get(self, url: str, params: Mapping[str, str] | None = None) -> bytes:
+        """Return the body of the answer 200 to a GET; raises the errors of this module."""
+        return self._http.get(url, params=dict(params) if params else None).content
 
 
 def _refusal(answer: httpx2.Response) -> SourceAnswerError:
