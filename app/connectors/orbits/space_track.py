@@ -71,7 +71,7 @@ def _opened(settings: Settings) -> SpaceTrackClient:
     except OSError as error:
         raise SourceContentError(f"MAGCAL_SPACE_TRACK_PASSWORD_FILE cannot be read: {error.strerror}") from error
 
-    class TwoRequests(SpaceTrackClient):  # type: ignore[misc] - the package has no types
+    class TwoRequests(SpaceTrackClient):  # type: ignore[misc]  # the package has no types
         # Predicates that are known here are not asked for with a request of its own.
         offline_predicates = SpaceTrackClient.offline_predicates | {
             ("gp", "basicspacedata"): {"NORAD_CAT_ID"},
