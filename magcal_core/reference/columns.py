@@ -252,8 +252,8 @@ def _astray(t_true: Times, parts: Sequence[Part]) -> list[str]:
         return []
     return [
         f"orbit_not_ballistic: about {count} of {len(t_true)} samples the points of the ephemeris do not go on into "
-        "each other under gravity (a manoeuvre, or positions that scatter): how far it is off between them is estimated "
-        "from points left out"
+        "each other under gravity (a manoeuvre, or positions that scatter): how far it is off between them is "
+        "estimated from points left out"
     ]
 
 
