@@ -1,13 +1,10 @@
 """The error between the points of ephemerides, drawn of all kinds, against propagators of other authors."""
 
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 
-import astropy_iers_data
 import numpy as np
 import pytest
 import satkit
-import satkit_data
 from numpy.typing import NDArray
 from sgp4.api import WGS72, Satrec
 
@@ -21,6 +18,8 @@ Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 States = tuple[Floats, Floats]
 
+pytestmark = pytest.mark.usefixtures("offline_satkit")
+
 MU = 398_600.4418
 T0 = np.datetime64("2024-05-11T00:00:00", "ns")
 AXES = {"low": (6778.0, 0.001), "eccentric": (8500.0, 0.18), "transfer": (24_400.0, 0.72), "Molniya": (26_600.0, 0.72),
@@ -30,21 +29,6 @@ FINE = 8
 SEEN_KM = {"satkit": 0.01, "sgp4": 0.5}
 """What an estimate may be off beside its 20 %. SGP4's positions are no solution of any forces: about the perigee of an
 eccentric orbit they lie up to 0.4 km beside one between points 15 minutes apart."""
-
-
-@pytest.fixture(scope="module", autouse=True)
-def offline_satkit(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    folder = tmp_path_factory.mktemp("satkit")
-    published = Path(satkit_data.__file__).parent / "data"
-    for name in ("EGM96.gfc", "linux_p1550p2650.440", "tab5.2a.txt", "tab5.2b.txt", "tab5.2d.txt", "leap-seconds.list"):
-        (folder / name).symlink_to(published / name)
-    (folder / "finals2000A.all").symlink_to(astropy_iers_data.IERS_A_FILE)
-    patch = pytest.MonkeyPatch()
-    patch.setenv("SATKIT_OFFLINE", "1")
-    patch.setenv("SATKIT_DATA", str(folder))
-    satkit.utils.set_datadir(str(folder))
-    yield
-    patch.undo()
 
 
 def by_satkit(axis_km: float, e: float, angles_rad: Floats, stamps_ns: Stamps) -> tuple[Frame, Floats, Floats]:
