@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from magcal_core.field.index import Index as Index
     from magcal_core.field.index_files import read_index as read_index
     from magcal_core.field.models import field_model as field_model
-    from magcal_core.orbit.messages.oem import OemOrbit as OemOrbit
+    from magcal_core.orbit.ephemeris.oem import OemOrbit as OemOrbit
     from magcal_core.orbit.messages.state import StateVector as StateVector
     from magcal_core.orbit.propagators.numerical import NumericalOrbit as NumericalOrbit
     from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit as Sgp4Orbit
@@ -47,7 +47,7 @@ _HOME: Final[dict[str, str]] = {
     "Igrf": "field.igrf",
     "Index": "field.index",
     "NumericalOrbit": "orbit.propagators.numerical",
-    "OemOrbit": "orbit.messages.oem",
+    "OemOrbit": "orbit.ephemeris.oem",
     "RefitOptions": "calibration.refit.outcome",
     "Samples": "samples",
     "SensorModel": "sensor.model",

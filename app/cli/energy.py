@@ -108,7 +108,7 @@ def _orbit_of(path: Path) -> Orbit:
 
 def _length_s(orbit: Orbit) -> float:
     """Return how long an ephemeris is, s; a day for other orbits."""
-    from magcal_core.orbit.messages.oem import OemOrbit
+    from magcal_core.orbit.ephemeris.oem import OemOrbit
 
     if not isinstance(orbit, OemOrbit):
         return 86400.0

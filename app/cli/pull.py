@@ -12,6 +12,7 @@ from typing import Final
 
 import click
 
+from app.connectors.telemetry.contract import LOOK_BACK
 from app.connectors.telemetry.registry import ARCHIVES
 
 LOOK_EVERY_S: Final = 300.0
@@ -44,6 +45,8 @@ def _columns(text: str | None) -> dict[str, str]:
 @click.option("--settle", type=click.FloatRange(0.0, 10_000.0), default=0.0, metavar="HOURS",
               help="Leave for later what is younger: recordings that come down with a pass, frames of slow stations.  "
               "[default: 0]")  # fmt: skip
+@click.option("--look-back", type=click.FloatRange(0.0, 10_000.0), default=LOOK_BACK / timedelta(hours=1),
+              metavar="HOURS", help="Look so far back for what came late; 0: not at all.  [default: 72]")  # fmt: skip
 @click.option("--token", envvar="MAGCAL_PULL_TOKEN", help="The archive's token; better in MAGCAL_PULL_TOKEN.")
 @click.option("--once", is_flag=True, help="Pull what there is now, and exit.")
 def command(
@@ -57,6 +60,7 @@ def command(
     since: str | None,
     history: bool,
     settle: float,
+    look_back: float,
     token: str | None,
     once: bool,
 ) -> None:
@@ -73,7 +77,8 @@ def command(
         begin = None if since is None else instant(since)
     except ValueError as error:
         raise click.BadParameter("want a time in ISO 8601, such as 2026-11-22T10:00:00Z") from error
-    wanted = Wanted(base_url, _columns(columns), dataset, begin, token, history, timedelta(hours=settle))
+    wanted = Wanted(base_url, _columns(columns), dataset, begin, token, history, timedelta(hours=settle),
+                    timedelta(hours=look_back))  # fmt: skip
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())

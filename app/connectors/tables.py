@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import datetime
 
-from sqlalchemy import ForeignKey, Index, String, Text
+from sqlalchemy import ForeignKey, Index, LargeBinary, String, Text
 from sqlalchemy.orm import Mapped, mapped_column
 
 from app.storage.database import Base
@@ -43,7 +43,10 @@ class ConnectorStop(Base):
 
 
 class ConnectorMark(Base):
-    """How far a pull has come; moved in the transaction that keeps what was pulled, and removed with its satellite."""
+    """How far a pull has come; moved in the transaction that keeps what was pulled, and removed with its satellite.
+
+    ``remembers_from``: the times of the rows that were taken from then on are in `ConnectorSeen`, None: no time is.
+    """
 
     __tablename__ = "connector_mark"
 
@@ -51,3 +54,21 @@ class ConnectorMark(Base):
     satellite_id: Mapped[str | None] = mapped_column(ForeignKey("satellite.id"))
     mark: Mapped[str] = mapped_column(Text)
     updated_at: Mapped[datetime]
+    remembers_from: Mapped[datetime | None]
+    looked_back_at: Mapped[datetime | None]
+
+
+class ConnectorSeen(Base):
+    """The times of rows that a pull took with one page, so that they are not taken again where it looks back.
+
+    ``times`` are int64, little-endian, microseconds since 1970; negative ones of rows that lacked a reading.
+    """
+
+    __tablename__ = "connector_seen"
+    __table_args__ = (Index(None, "name", "until"),)
+
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    name: Mapped[str] = mapped_column(String(200))
+    satellite_id: Mapped[str] = mapped_column(ForeignKey("satellite.id"))
+    until: Mapped[datetime]
+    times: Mapped[bytes] = mapped_column(LargeBinary)

@@ -38,6 +38,10 @@ class InterpolatedOrbit(Protocol):
         """Return how far interpolation is off at the most about each time, km, shape (n,)."""
         ...
 
+    def is_astray(self, t_utc: Times) -> NDArray[np.bool_]:
+        """Return whether the points about each time are not those of an orbit under known forces, shape (n,)."""
+        ...
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Choice:

@@ -13,10 +13,10 @@ import numpy as np
 
 from magcal_core.errors import EncodingError, Fault, OrbitFormatError, TleFormatError
 from magcal_core.orbit import Orbit
+from magcal_core.orbit.ephemeris.oem import parse_oem
 from magcal_core.orbit.messages.bulletin import tles_alone
 from magcal_core.orbit.messages.forms import form_of, refuse_binary, refuse_json_message, without_comments
 from magcal_core.orbit.messages.json_tle import mean_elements, tle_text
-from magcal_core.orbit.messages.oem import parse_oem
 from magcal_core.orbit.messages.omm import Omm, parse_omms
 from magcal_core.orbit.messages.opm import parse_opms
 from magcal_core.orbit.messages.sp3 import parse_sp3

@@ -27,7 +27,7 @@ from magcal_core.orbit.choose import (
 )
 from magcal_core.orbit.earth.eop import earth_orientation, ut1_prediction_error_s
 from magcal_core.orbit.earth.timescales import nanoseconds
-from magcal_core.orbit.messages.interpolation_check import BETTER_KM, REFUSED_KM
+from magcal_core.orbit.ephemeris.interpolation_check import BETTER_KM, REFUSED_KM
 from magcal_core.reference.field_along_orbit import Part, field_of_parts, positions_km
 from magcal_core.samples import SampleFlag, Samples
 from magcal_core.telemetry.iso_times import Spans
@@ -133,7 +133,7 @@ def _from_orbits(
         warnings.append(f"orbit_gap: no orbit covers {gap} of {len(samples)} samples")
     interpolation_km = _interpolation_km(t_true, parts)
     warnings += _predicted_earth(t_true)
-    warnings += _off_between_points(interpolation_km)
+    warnings += _off_between_points(interpolation_km) + _astray(t_true, parts)
     report = ReferenceReport(
         "+".join(sorted(models)), tuple(entries), field.name, tuple(warnings), float(interpolation_km)
     )
@@ -239,6 +239,21 @@ def _off_between_points(error_km: float) -> list[str]:
     return [
         f"orbit_interpolation: the ephemeris is up to {error_km:.2g} km off between its points, and its velocities do "
         "not tell better; send points closer together"
+    ]
+
+
+def _astray(t_true: Times, parts: Sequence[Part]) -> list[str]:
+    """Return the warning that ephemerides do not follow known forces at some of the times, where they do not."""
+    count = 0
+    for part in parts:
+        if isinstance(part.orbit, InterpolatedOrbit):
+            count += int(np.count_nonzero(part.orbit.is_astray(t_true[part.rows])))
+    if not count:
+        return []
+    return [
+        f"orbit_not_ballistic: about {count} of {len(t_true)} samples the points of the ephemeris do not go on into "
+        "each other under gravity (a manoeuvre, or positions that scatter): how far it is off between them is "
+        "estimated from points left out"
     ]
 
 

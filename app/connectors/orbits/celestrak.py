@@ -18,6 +18,7 @@ class CelesTrak:
     """``gp.php?CATNR=N&FORMAT=json``; its data change three times a day, and who asks too often is shut out."""
 
     limits: tuple[Limit, ...] = ()
+    package: str | None = None
 
     def ask(self, settings: Settings, watched: Watched) -> Reply:
         """Return the newest elements of a satellite."""

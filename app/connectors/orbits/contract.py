@@ -35,9 +35,10 @@ class Reply:
 
 
 class OrbitSource(Protocol):
-    """One source: its limits beside that of each object, and how it is asked."""
+    """One source: its limits beside that of each object, the package that it needs beside ours, how it is asked."""
 
     limits: tuple[Limit, ...]
+    package: str | None
 
     def ask(self, settings: Settings, watched: Watched) -> Reply:
         """Return what the source has of an object; the errors are those of `app.connectors.http`."""

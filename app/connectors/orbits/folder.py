@@ -18,6 +18,7 @@ class Folder:
     """The newest file of ``MAGCAL_ORBIT_FOLDER`` whose name, up to its ending, is the satellite's id or number."""
 
     limits: tuple[Limit, ...] = ()
+    package: str | None = None
 
     def ask(self, settings: Settings, watched: Watched) -> Reply:
         """Return the newest file of a satellite."""

@@ -16,6 +16,7 @@ class SatNogs:
     """``/api/tle/?norad_cat_id=N&format=json``, which needs no token."""
 
     limits: tuple[Limit, ...] = (Limit(30, 60.0),)
+    package: str | None = None
 
     def ask(self, settings: Settings, watched: Watched) -> Reply:
         """Return the elements that SatNOGS holds the best of a satellite's."""

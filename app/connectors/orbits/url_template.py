@@ -15,6 +15,7 @@ class UrlTemplate:
     """``MAGCAL_ORBIT_URL`` with ``{norad_id}`` in it."""
 
     limits: tuple[Limit, ...] = ()
+    package: str | None = None
 
     def ask(self, settings: Settings, watched: Watched) -> Reply:
         """Return what is at the satellite's address."""

@@ -8,6 +8,7 @@ Where a source has the past, too, the elements about sessions that no orbit is n
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -25,7 +26,7 @@ from app.connectors.orbits import past
 from app.connectors.orbits.contract import OrbitSource, PastSource, Reply, Watched
 from app.connectors.orbits.registry import ORBIT_SOURCES
 from app.connectors.tables import ConnectorRequest, ConnectorStop
-from app.errors import NotFoundError
+from app.errors import NotFoundError, UnavailableError
 from app.orbits.objects import difference
 from app.orbits.parsing import ParsedOrbit, parse_message
 from app.orbits.repository import OrbitRepository
@@ -85,7 +86,13 @@ def start_again(session: Session, source: str) -> bool:
 
 
 class OrbitWatch:
-    """One source, asked for every satellite that has a catalogue number."""
+    """One source, asked for every satellite that has a catalogue number.
+
+    Raises
+    ------
+    UnavailableError
+        The source needs a package that is not installed.
+    """
 
     def __init__(
         self, database: Database, settings: Settings, name: str, pause: Callable[[float], object] = lambda _s: None
@@ -95,6 +102,9 @@ class OrbitWatch:
         self._name = name
         self._past_ledger = f"{name}-past"
         self._source: OrbitSource = ORBIT_SOURCES[name]
+        package = self._source.package
+        if package is not None and importlib.util.find_spec(package) is None:
+            raise UnavailableError(f"orbits of {name} need the package {package}: install magcal-service[{name}]")
         self._pause = pause
         self._right = Exclusive(database, settings, f"orbits-{name}")
 

@@ -13,6 +13,8 @@ from typing import Final, Protocol
 from magcal_core.errors import InputError
 
 TIME: Final = "time"
+LOOK_BACK: Final = timedelta(hours=72)
+"""How late a row may come where nobody says otherwise."""
 
 
 class PullOptionError(InputError):
@@ -28,7 +30,8 @@ class Wanted:
     ``columns`` maps a column of the telemetry table to a name of the archive; ``since`` is where a first pull begins.
     ``dataset`` is the archive's own word for what is asked: Yamcs' instance, HAPI's dataset, SatNOGS' NORAD id.
     ``by_history``: Yamcs' history of each parameter, page by page, instead of its export of a table. ``settle``: what
-    is younger may still be on its way, and is left for a later pull.
+    is younger may still be on its way, and is left for a later pull. ``look_back``: so far back it is looked for what
+    comes late; ``again_from``: where that begins in this pull, None where it does not look back.
     """
 
     base_url: str
@@ -38,6 +41,8 @@ class Wanted:
     token: str | None = field(default=None, repr=False)
     by_history: bool = False
     settle: timedelta = timedelta()
+    look_back: timedelta = LOOK_BACK
+    again_from: datetime | None = None
 
     @property
     def names(self) -> list[str]:
@@ -59,7 +64,8 @@ class Archive(Protocol):
     def pages(self, wanted: Wanted, mark: str | None, now: datetime) -> Iterator[Page]:
         """Yield what is behind ``mark`` (None: from ``wanted.since``) and not younger than ``now``.
 
-        In an order in which a kill loses nothing.
+        Anew from ``wanted.again_from`` on, where that is set. In an order in which a kill loses nothing; the marks of
+        pages do not go back behind ``mark``.
         """
         ...
 

@@ -43,12 +43,13 @@ class Hapi:
             begin = instant(mark) if mark is not None else wanted.since or dataset.start
             if begin is None:
                 raise PullOptionError("the first pull wants --since")
-            last = min(dataset.stop or now, now)
+            last, reached = min(dataset.stop or now, now), begin
+            begin = min(begin, wanted.again_from or begin)
             while begin < last:
                 end = min(begin + SPAN, last)
                 asked = {"id": wanted.dataset, "parameters": parameters, "time.min": iso(begin), "time.max": iso(end)}
                 body = client.get(f"{base}/data", asked | {"format": "csv"})
-                yield Page(_rows(require_no_page(body), dataset, wanted), iso(end))
+                yield Page(_rows(require_no_page(body), dataset, wanted), iso(max(end, reached)))
                 begin = end
         finally:
             client.close()

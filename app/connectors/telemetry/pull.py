@@ -1,12 +1,13 @@
 """Pull telemetry from an archive into sessions, as if it had been uploaded; over kills nothing is lost or kept twice.
 
-A page becomes a session in the transaction that moves the mark behind it.
+A page becomes a session in the transaction that moves the mark behind it, and in which it is remembered which rows
+were taken: looking back finds what came late, and nothing else.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -15,6 +16,7 @@ from sqlalchemy.orm import Session
 from app.access.caller import SYSTEM
 from app.connectors.tables import ConnectorMark
 from app.connectors.telemetry.contract import Archive, Page, PullOptionError, Wanted, table_of
+from app.connectors.telemetry.looking_back import Memory, Row
 from app.errors import ConflictError
 from app.http.receiving import Upload
 from app.satellites.repository import SatelliteRepository
@@ -51,8 +53,9 @@ class Pull:
         place = hashlib.sha256(f"{wanted.base_url} {wanted.dataset}".encode()).hexdigest()[:16]
         self.name = f"{self._kind}/{satellite_id}/{magnetometer_id}/{place}"
         self._right = Exclusive(database, settings, f"pull-{self.name.replace('/', '-')}")
-        self._reached: str | None = None
         self._wanted, self._columns = self._with_columns(wanted)
+        self._needed = [self._wanted.columns[name] for name in NEEDED]
+        self._memory = Memory(self.name, None, None, None)
 
     def run(self) -> Iterator[Pulled]:
         """Yield what each page became, up to the end of what the archive has now.
@@ -65,13 +68,12 @@ class Pull:
         if not self._right.acquire():
             raise ConflictError("another process pulls the same telemetry")
         try:
-            with self._database.read() as session:
-                row = session.get(ConnectorMark, self.name)
-            self._reached = None if row is None else row.mark
-            for page in self._archive.pages(self._wanted, self._reached, utc_now() - self._wanted.settle):
-                kept = self._keep(page)
-                self._reached = page.mark
-                yield kept
+            now, look_back = utc_now(), self._wanted.look_back
+            self._memory = self._database.transact(lambda session: Memory.of(session, self.name, look_back, now))
+            wanted = replace(self._wanted, again_from=self._memory.again_from)
+            for page in self._archive.pages(wanted, self._memory.mark, now - wanted.settle):
+                yield self._keep(page)
+            self._database.transact(lambda session: self._memory.looked(session, now))
         finally:
             self._right.release()
 
@@ -91,36 +93,45 @@ class Pull:
         return wanted, columns
 
     def _keep(self, page: Page) -> Pulled:
-        if not page.rows:
-            retried(lambda: self._move(page.mark))
+        rows = self._memory.new(page, self._needed)
+        if not rows:
+            retried(lambda: self._move(page.mark, []))
             return Pulled(0, None, is_new=False)
-        content = table_of(page.rows, self._wanted, self._columns)
+        content = table_of(rows, self._wanted, self._columns)
         upload = Upload(content, hashlib.sha256(content).hexdigest(), "text/csv")
         satellite_id, magnetometer_id = self._place
         asked = Asked(SYSTEM, satellite_id, UploadQuery(magnetometer=magnetometer_id), upload, None)
         prepared = self._ingest.prepare(asked)
         if isinstance(prepared, Kept):
-            retried(lambda: self._move(page.mark))
-            return Pulled(len(page.rows), prepared.session.id, is_new=False)
+            retried(lambda: self._move(page.mark, rows))
+            return Pulled(len(rows), prepared.session.id, is_new=False)
 
-        def keep() -> Kept:
+        def keep() -> tuple[Kept, list[int]]:
             with self._database.write() as session:
                 kept = self._ingest.write(session, [prepared])[0]
-                self._mark(session, page.mark)
-                return kept
+                return kept, self._mark(session, page.mark, rows)
 
-        kept = retried(keep)
+        kept, keys = retried(keep)
+        self._memory.hold(keys, page.mark)
         self._ingest.tell(prepared, kept)
-        return Pulled(len(page.rows), kept.session.id, kept.is_new)
+        return Pulled(len(rows), kept.session.id, kept.is_new)
 
-    def _move(self, mark: str) -> None:
+    def _move(self, mark: str, rows: Sequence[Row]) -> None:
         with self._database.write() as session:
-            self._mark(session, mark)
+            keys = self._mark(session, mark, rows)
+        self._memory.hold(keys, mark)
 
-    def _mark(self, session: Session, mark: str) -> None:
-        """Move the mark from where this pull has it; it is elsewhere where the satellite was removed and made anew."""
+    def _mark(self, session: Session, mark: str, rows: Sequence[Row]) -> list[int]:
+        """Move the mark from where this pull has it, and remember the rows that are taken; return their keys.
+
+        It is elsewhere where the satellite was removed and made anew.
+        """
         row = session.get(ConnectorMark, self.name)
-        if (None if row is None else row.mark) not in {self._reached, mark}:
+        if (None if row is None else row.mark) not in {self._memory.mark, mark}:
             raise ConflictError("the satellite has been removed and made anew: its pull begins from the start")
-        now = utc_now()
-        session.merge(ConnectorMark(name=self.name, satellite_id=self._place[0], mark=mark, updated_at=now))
+        now, satellite_id = utc_now(), self._place[0]
+        if row is None:
+            row = ConnectorMark(name=self.name, satellite_id=satellite_id, remembers_from=self._memory.keeps_from)
+            session.add(row)
+        row.mark, row.updated_at = mark, now
+        return self._memory.remember(session, satellite_id, rows, self._needed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Final
 
 from app.connectors.http import SourceAnswerError, SourceClient, SourceContentError, require_no_page
@@ -13,6 +13,8 @@ from app.connectors.telemetry.contract import TIME, Page, PullOptionError, Wante
 
 BETWEEN_S: Final = 1.0
 THROTTLED: Final = 429
+_JUST: Final = timedelta(microseconds=1)
+"""A walk ends before the frame at its end, and a first one is to have the frame at its beginning."""
 LONGEST_WAIT_S: Final = 3600.0
 Frame = dict[str, object]
 
@@ -20,8 +22,9 @@ Frame = dict[str, object]
 class SatNogs:
     """Walks back from the newest frame to the newest of the time before.
 
-    The mark says where that is (``since``), and in the middle of a walk also where it goes on (``next``) and
-    which frame it began with (``until``): a walk that is cut goes on from its last page.
+    The mark says where that is (``since``), and in the middle of a walk also where it goes on (``next``), which frame
+    it began with (``until``) and up to where walks before it have all (``reached``): a walk that is cut goes on from
+    its last page.
     """
 
     def __init__(self, wait: Callable[[float], object] = time.sleep) -> None:
@@ -31,8 +34,9 @@ class SatNogs:
         """Yield page after page; the last one's mark begins the next walk."""
         if wanted.dataset is None:
             raise PullOptionError("satnogs wants the satellite's NORAD id: --dataset, or norad_id of the satellite")
-        state: dict[str, str | None] = {"since": None if wanted.since is None else iso(wanted.since)}
+        state: dict[str, str | None] = {"since": None if wanted.since is None else iso(wanted.since - _JUST)}
         state |= json.loads(mark) if mark is not None else {}
+        state = _with_end(state, wanted.again_from)
         client = SourceClient(wanted.base_url, {"authorization": f"Token {wanted.token}"} if wanted.token else {})
         try:
             while True:
@@ -42,7 +46,7 @@ class SatNogs:
                 state["until"] = state.get("until") or (str(settled[0]["timestamp"]) if settled else None)
                 state["next"] = None if is_over else following
                 if state["next"] is None:
-                    state = {"since": state["until"] or state.get("since")}
+                    state = {"since": _newest(state)}
                 yield Page(rows, json.dumps(state))
                 if state.get("next") is None:
                     return
@@ -78,6 +82,25 @@ class SatNogs:
                 if error.status != THROTTLED:
                     raise
                 self._wait(min(error.retry_after_s or 60.0, LONGEST_WAIT_S))
+
+
+def _with_end(state: dict[str, str | None], again_from: datetime | None) -> dict[str, str | None]:
+    """Return the state of a walk with its end: where walks have reached, or before that where the pull looks back.
+
+    Also of one that was cut while it looked back: what it took is remembered only from ``again_from`` on.
+    """
+    reached = state.get("reached") or state.get("since")
+    if reached is None:
+        return state
+    end = reached if again_from is None else iso(min(again_from, instant(reached)))
+    return state | {"since": end, "reached": reached}
+
+
+def _newest(state: dict[str, str | None]) -> str | None:
+    """Return up to where a walk that is over has all."""
+    return max(
+        (one for one in (state.get("until"), state.get("reached")) if one is not None), key=instant, default=None
+    )
 
 
 def _fresh(frames: list[Frame], wanted: Wanted, since: str | None) -> tuple[list[dict[str, str]], bool]:

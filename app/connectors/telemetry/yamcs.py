@@ -33,12 +33,12 @@ class Yamcs:
         begin = instant(mark) if mark is not None else wanted.since
         if begin is None:
             raise PullOptionError("the first pull wants --since")
+        first, last = min(begin, wanted.again_from or begin), now - LATE
         client = SourceClient(wanted.base_url, _headers(wanted))
         try:
-            if wanted.by_history:
-                yield from history_pages(client, wanted, begin, now - LATE)
-            else:
-                yield from self._tables(client, wanted, begin, now - LATE)
+            pages = history_pages if wanted.by_history else self._tables
+            for page in pages(client, wanted, first, last):
+                yield Page(page.rows, iso(max(instant(page.mark), begin)))
         finally:
             client.close()
 

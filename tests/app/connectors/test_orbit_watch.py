@@ -19,6 +19,7 @@ from app.access.caller import SYSTEM
 from app.connectors.orbits.registry import ORBIT_SOURCES
 from app.connectors.orbits.watch import OrbitWatch, start_again, stopped, stopped_sources
 from app.connectors.tables import ConnectorRequest
+from app.errors import UnavailableError
 from app.maintenance.satellite_removal import holdings_of, remove_satellite
 from app.orbits.tables import OrbitRow
 from app.outbox.tables import OutboxEntry
@@ -304,6 +305,76 @@ def test_space_track_logs_in_and_keeps_to_its_limits(database, serve, tmp_path):
     hours_go_by(database, 10.0)
     look(database, settings, "space-track")
     assert "401" in stopped_sources(database)[0]
+
+
+@pytest.fixture
+def logged_in(tmp_path):
+    """Return settings of a login at an address."""
+    secret = tmp_path / "password"
+    secret.write_text("secret\n")
+
+    def settings(url: str) -> Settings:
+        return Settings(data_dir=tmp_path, space_track_url=url, space_track_user="me", space_track_password_file=secret)
+
+    return settings
+
+
+LIMIT_PAGE = b"<html>You've violated your query rate limit. Please refer to our Acceptable Use guidelines</html>"
+
+
+@pytest.mark.parametrize("status", [302, 401, 429, 500])
+def test_what_space_tracks_package_would_repeat_or_follow_ends_with_the_answer(database, serve, logged_in, status):
+    """By itself it waits a minute and asks again at the limit's 500, logs in anew at 401, and follows redirects."""
+    other = serve(lambda _asked: (200, {}, json.dumps([omm(25544)]).encode()))
+
+    def answer(asked):
+        if asked.path == "/ajaxauth/login":
+            return 200, {"set-cookie": "chocolatechip=1; Path=/"}, b'""'
+        return status, {"location": f"{other.url}/elsewhere"}, LIMIT_PAGE
+
+    fake = serve(answer)
+    add(database, a="25544", b="25545")
+    assert look(database, logged_in(fake.url), "space-track") == [("a", "failed")]
+    hours_go_by(database, 100.0)
+    look(database, logged_in(fake.url), "space-track")
+    assert [one.method for one in fake.asked] == ["POST", "GET"]
+    assert other.asked == []
+    assert str(status) in stopped_sources(database)[0]
+
+
+def test_space_track_is_asked_by_its_package_with_a_login_and_one_query(database, serve, logged_in):
+    """Neither the names of predicates nor a logout cost a request; the package writes the address."""
+    fake = serve(space_track(["2026-11-29T12:00:00"], []))
+    add(database, a="123456789")
+    assert look(database, logged_in(fake.url), "space-track") == [("a", "new")]
+    assert [one.path for one in fake.asked] == [
+        "/ajaxauth/login",
+        "/basicspacedata/query/class/gp/format/json/NORAD_CAT_ID/123456789/orderby/EPOCH desc/limit/1",
+    ]
+
+
+@pytest.mark.parametrize("body", [b'{"Login": "Failed"}', b"<html>maintenance</html>"])
+def test_a_login_that_fails_with_200_is_told_and_a_wrong_one_is_not_repeated(database, serve, logged_in, body):
+    fake = serve(lambda _asked: (200, {}, body))
+    add(database, a="25544")
+    assert look(database, logged_in(fake.url), "space-track") == [("a", "failed")]
+    assert len(fake.asked) == 1
+    is_wrong = body.startswith(b"{")
+    assert ["login failed" in why for why in stopped_sources(database)] == ([True] if is_wrong else [])
+
+
+def test_without_its_package_space_track_is_refused_with_the_extra_that_brings_it(
+    database, serve, logged_in, monkeypatch
+):
+    """Before a request is written down, so that it can be asked as soon as the package is there."""
+    fake = serve(space_track(["2026-11-29T12:00:00"], []))
+    add(database, a="25544")
+    with monkeypatch.context() as without:
+        without.setitem(sys.modules, "spacetrack", None)
+        with pytest.raises(UnavailableError, match=r"install magcal-service\[space-track\]"):
+            look(database, logged_in(fake.url), "space-track")
+        assert look(database, logged_in(fake.url), "folder") == [("a", "failed")]
+    assert look(database, logged_in(fake.url), "space-track") == [("a", "new")]
 
 
 def test_satnogs_a_template_and_a_folder_are_read(database, serve, tmp_path):

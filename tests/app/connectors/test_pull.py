@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sqlalchemy import select
+from sqlalchemy import delete, select
 
 from app.access.caller import SYSTEM
 from app.connectors.http import SourceAnswerError, SourceContentError
-from app.connectors.tables import ConnectorMark
+from app.connectors.tables import ConnectorMark, ConnectorSeen
 from app.connectors.telemetry.contract import PullOptionError, Wanted, instant
 from app.connectors.telemetry.pull import Pull
 from app.connectors.telemetry.registry import ARCHIVES
@@ -412,6 +412,169 @@ def test_frames_of_slow_stations_are_pulled_once_they_have_settled(database, set
     hasty = replace(wanted, settle=timedelta())
     assert sum(one.rows for one in pull_of(database, settings, "satnogs", hasty, wait).run()) == 60
     assert sorted(numbers(database, settings)) == list(range(120))
+
+
+def let_time_pass(database: Database, hours: float) -> None:
+    """Let the last look back be so long ago."""
+    with database.write() as session:
+        for row in session.scalars(select(ConnectorMark)):
+            row.looked_back_at = utc_now() - timedelta(hours=hours)
+
+
+def late_yamcs(begin: datetime, known: set[int]):
+    """Answer as Yamcs does: a row a minute from ``begin``, those of ``known``."""
+
+    def answer(asked):
+        start, stop = (datetime.fromisoformat(asked.query[name]) for name in ("start", "stop"))
+        times = [(number, begin + timedelta(minutes=number)) for number in sorted(known)]
+        lines = ["\t".join([time.isoformat(), *map(str, reading(n))]) for n, time in times if start <= time < stop]
+        return 200, {}, "\n".join(["Time\tx\ty\tz", *lines, ""]).encode()
+
+    return answer
+
+
+def late_hapi(begin: datetime, known: set[int]):
+    info = {
+        "HAPI": "3.2", "status": {"code": 1200}, "startDate": begin.isoformat(), "stopDate": "2099-01-01T00:00:00Z",
+        "parameters": [{"name": "Time", "type": "isotime"}, *({"name": one, "type": "double"} for one in MAP.values())],
+    }  # fmt: skip
+
+    def answer(asked):
+        if asked.path == "/info":
+            return 200, {}, json.dumps(info).encode()
+        first, last = (datetime.fromisoformat(asked.query[name]) for name in ("time.min", "time.max"))
+        times = [(number, begin + timedelta(minutes=number)) for number in sorted(known)]
+        lines = [f"{time.isoformat()},{','.join(map(str, reading(n)))}" for n, time in times if first <= time < last]
+        return 200, {}, "\n".join([*lines, ""]).encode()
+
+    return answer
+
+
+def late_satnogs(begin: datetime, known: set[int]):
+    """Answer as SatNOGS DB does: the newest first, 100 frames a page."""
+
+    def answer(asked):
+        start = datetime.fromisoformat(asked.query.get("start", "2000-01-01T00:00:00Z"))
+        before = int(asked.query.get("cursor", 10**9))
+        own = [n for n in sorted(known, reverse=True) if n < before and begin + timedelta(minutes=n) >= start]
+        results = [
+            {"timestamp": (begin + timedelta(minutes=n)).isoformat(),
+             "decoded": {name: str(value) for name, value in zip(MAP.values(), reading(n), strict=True)}}
+            for n in own[:100]
+        ]  # fmt: skip
+        more = f"http://{asked.headers['host']}/api/telemetry/?cursor={own[99]}" if len(own) > 100 else None
+        if more is not None and "start" in asked.query:
+            more += "&start=" + asked.query["start"].replace("+", "%2B")
+        return 200, {}, json.dumps({"next": more, "results": results}).encode()
+
+    return answer
+
+
+LATE = {
+    "yamcs": (late_yamcs, ARCHIVES["yamcs"]),
+    "hapi": (late_hapi, ARCHIVES["hapi"]),
+    "satnogs": (late_satnogs, SatNogs(lambda _s: None)),
+}
+
+
+@pytest.mark.parametrize("kind", LATE)
+def test_what_comes_late_is_pulled_by_default_and_nothing_twice(database, settings, serve, kind):
+    """A row a minute for 20 hours; every third one, and an hour of recordings, come after their neighbours were pulled.
+
+    Each look back may be cut behind any page. One that comes later than the pull looks back is left.
+    """
+    answer, archive = LATE[kind]
+    begin = utc_now().replace(microsecond=0) - timedelta(hours=20)
+    early = {n for n in range(1190) if n % 3 and not 600 <= n < 660}
+    fake = serve(answer(begin, early))
+    wanted = Wanted(fake.url, MAP, "sim", begin)
+
+    def pull(cut: int | None = None, of: Wanted = wanted) -> int:
+        pages, rows = pull_of(database, settings, kind, of, archive).run(), 0
+        for number, page in enumerate(pages):
+            rows += page.rows
+            if number == cut:
+                pages.close()  # as if killed behind the page
+        return rows
+
+    assert pull() == len(early)
+    fake.answer = answer(begin, set(range(1190)))
+    asked = len(fake.asked)
+    assert pull() == 0
+    assert len(fake.asked) - asked <= 2  # it has looked back just now
+    let_time_pass(database, 4.0)
+    for cut in (0, 1, 0):
+        pull(cut)
+    pull()
+    assert sorted(numbers(database, settings)) == list(range(1190))
+    for _ in range(3):
+        let_time_pass(database, 4.0)
+        assert pull() == 0
+    fake.answer = answer(begin, set(range(-2, 1190)))
+    let_time_pass(database, 4.0)
+    assert pull(of=replace(wanted, look_back=timedelta(hours=1))) == 0
+    assert sorted(numbers(database, settings)) == list(range(1190))
+
+
+@pytest.mark.parametrize("kind", LATE)
+def test_a_look_back_that_was_cut_and_taken_up_days_later_takes_nothing_twice(database, settings, serve, kind):
+    """What it took is forgotten by then, so that nothing is asked for again that pulls had reached before."""
+    answer, archive = LATE[kind]
+    begin = utc_now().replace(microsecond=0) - timedelta(hours=20)
+    fake = serve(answer(begin, set(range(600))))
+    wanted = Wanted(fake.url, MAP, "sim", begin)
+    list(pull_of(database, settings, kind, wanted, archive).run())
+    let_time_pass(database, 4.0)
+    fake.answer = answer(begin, set(range(900)))
+    pages = pull_of(database, settings, kind, wanted, archive).run()
+    next(pages)
+    pages.close()
+    short = replace(wanted, look_back=timedelta(minutes=1))  # as if days had gone by
+    fake.answer = answer(begin, set(range(1000)))
+    for _ in range(3):
+        let_time_pass(database, 4.0)
+        list(pull_of(database, settings, kind, short, archive).run())
+    found = numbers(database, settings)
+    assert len(found) == len(set(found))
+    # Marks of Yamcs and HAPI stand at the time of the pull: what comes behind them later than it looks back is left.
+    assert kind != "satnogs" or sorted(found) == list(range(1000))
+
+
+def test_a_row_that_lacked_a_value_comes_again_once_it_is_whole(database, settings, serve):
+    """z of one row arrives an hour later than x and y; a late row that never is whole holds nothing up."""
+    begin = utc_now().replace(microsecond=0) - timedelta(hours=5)
+
+    def answer(missing):
+        def told(asked):
+            status, headers, body = late_yamcs(begin, set(range(240)))(asked)
+            lines = body.decode().splitlines()
+            cut = [line.rpartition("\t")[0] + "\t" if line.split("\t")[1] in missing else line for line in lines]
+            return status, headers, "\n".join([*cut, ""]).encode()
+
+        return told
+
+    fake = serve(answer({"20100.0", "20101.0"}))
+    wanted = Wanted(fake.url, MAP, "sim", begin)
+    list(pull_of(database, settings, "yamcs", wanted).run())
+    for missing, rows in (({"20101.0"}, 1), ({"20101.0"}, 0)):
+        fake.answer = answer(missing)
+        let_time_pass(database, 4.0)
+        assert sum(one.rows for one in pull_of(database, settings, "yamcs", wanted).run()) == rows
+
+
+def test_a_mark_of_before_looking_back_sends_nothing_again(database, settings, serve):
+    """A pull of a version that remembered nothing: what is before now is its own, and later rows are remembered."""
+    begin = utc_now().replace(microsecond=0) - timedelta(hours=20)
+    fake = serve(late_yamcs(begin, set(range(900))))
+    wanted = Wanted(fake.url, MAP, "sim", begin)
+    list(pull_of(database, settings, "yamcs", wanted).run())
+    with database.write() as session:
+        for row in session.scalars(select(ConnectorMark)):
+            row.remembers_from = row.looked_back_at = None
+        session.execute(delete(ConnectorSeen))
+    for _ in range(2):
+        let_time_pass(database, 4.0)
+        assert sum(one.rows for one in pull_of(database, settings, "yamcs", wanted).run()) == 0
 
 
 def test_an_archive_cannot_send_us_to_another_host(database, settings, serve):

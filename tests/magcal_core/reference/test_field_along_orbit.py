@@ -13,7 +13,7 @@ from magcal_core.numerics.interpolation import StateTable
 from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
 from magcal_core.orbit.earth.frames import itrf_to_gcrf, teme_to_itrf
-from magcal_core.orbit.messages.oem import OemOrbit, Segment
+from magcal_core.orbit.ephemeris.oem import OemOrbit, Segment
 from magcal_core.orbit.messages.tle import checksum
 from magcal_core.orbit.propagators.numerical import NumericalOrbit
 from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit

@@ -15,7 +15,7 @@ from magcal_core.calibration.refit.outcome import Refit, RefitOptions
 from magcal_core.calibration.refit.refit import refit
 from magcal_core.calibration.result import Calibration
 from magcal_core.errors import MomentsError, OptionError
-from magcal_core.orbit.messages.oem import parse_oem
+from magcal_core.orbit.ephemeris.oem import parse_oem
 from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
 from magcal_core.pipeline import calibrate
 from magcal_core.samples import Samples

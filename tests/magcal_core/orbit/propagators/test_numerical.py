@@ -2,11 +2,9 @@
 
 from pathlib import Path
 
-import astropy_iers_data
 import numpy as np
 import pytest
 import satkit
-import satkit_data
 from scipy.integrate import solve_ivp
 
 from magcal_core.constants import MOON_GM_KM3_S2, SUN_GM_KM3_S2
@@ -65,21 +63,6 @@ def test_spot_values_of_the_worked_case() -> None:
     r_km, _ = NumericalOrbit(EPOCH, R_KM, V_KM_S).state_gcrf(seconds([10800.0, 86400.0]))
     want_m = [[5042935.447, -28540.182, -4748761.412], [6714603.571, -985689.071, 1381499.114]]
     np.testing.assert_allclose(r_km * 1e3, want_m, atol=2e-3)
-
-
-@pytest.fixture(scope="module")
-def offline_satkit(tmp_path_factory: pytest.TempPathFactory) -> None:
-    folder = tmp_path_factory.mktemp("satkit")
-    published = Path(satkit_data.__file__).parent / "data"
-    for name in ("EGM96.gfc", "linux_p1550p2650.440", "tab5.2a.txt", "tab5.2b.txt", "tab5.2d.txt", "leap-seconds.list"):
-        (folder / name).symlink_to(published / name)
-    (folder / "finals2000A.all").symlink_to(astropy_iers_data.IERS_A_FILE)
-    patch = pytest.MonkeyPatch()
-    patch.setenv("SATKIT_OFFLINE", "1")
-    patch.setenv("SATKIT_DATA", str(folder))
-    satkit.utils.set_datadir(str(folder))
-    yield
-    patch.undo()
 
 
 @pytest.mark.usefixtures("offline_satkit")

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from magcal_core.errors import ModelRangeError, OrbitFormatError
 from magcal_core.orbit.earth.frames import Frame, convert_state
-from magcal_core.orbit.messages.oem import parse_oem
+from magcal_core.orbit.ephemeris.oem import parse_oem
 from magcal_core.orbit.messages.state import state_from_mapping
 from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -14,9 +14,9 @@ from magcal_core.errors import Fault, ModelRangeError, OrbitFormatError, TimeErr
 from magcal_core.numerics.interpolation import StateTable
 from magcal_core.orbit.earth.frames import Frame, State, convert_position, convert_state
 from magcal_core.orbit.earth.timescales import nanoseconds
+from magcal_core.orbit.ephemeris.interpolation_check import REFUSED_KM, Interpolation, best_interpolation
 from magcal_core.orbit.messages.epochs import TIME_SYSTEMS, parse_epoch, to_utc
 from magcal_core.orbit.messages.frames_of_date import in_known_frame, is_known, known_frames
-from magcal_core.orbit.messages.interpolation_check import REFUSED_KM, Interpolation, best_interpolation
 from magcal_core.orbit.messages.kvn import KvnLine, find_all, kvn_lines, leaves, number, parse_xml
 
 MAX_STATES: Final = 500_000
@@ -112,12 +112,28 @@ class OemOrbit:
         0 outside the segments.
         """
         stamps = nanoseconds(t_utc)
-        index, errors_km = self._segment_of(stamps), np.zeros(len(stamps))
-        for i, segment in enumerate(self.segments):
-            rows = index == i
-            if segment.checked is not None:
-                errors_km[rows] = segment.checked.error_km(stamps[rows])
+        errors_km = np.zeros(len(stamps))
+        for checked, rows in self._checked(stamps):
+            errors_km[rows] = checked.error_km(stamps[rows])
         return errors_km
+
+    def is_astray(self, t_utc: Times) -> NDArray[np.bool_]:
+        """Return whether the points about each time are not those of an orbit under known forces, shape (n,).
+
+        A manoeuvre, for one; the error between such points is from points left out, and can be wrong by a factor.
+        """
+        stamps = nanoseconds(t_utc)
+        is_astray = np.zeros(len(stamps), np.bool_)
+        for checked, rows in self._checked(stamps):
+            is_astray[rows] = checked.is_astray(stamps[rows])
+        return is_astray
+
+    def _checked(self, stamps_ns: NDArray[np.int64]) -> Iterator[tuple[Interpolation, NDArray[np.bool_]]]:
+        """Yield what was found about each segment that was looked at, and which times are in it."""
+        index = self._segment_of(stamps_ns)
+        for i, segment in enumerate(self.segments):
+            if segment.checked is not None:
+                yield segment.checked, index == i
 
     def _segment_of(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.intp]:
         index = np.full(len(stamps_ns), -1, np.intp)
@@ -229,7 +245,7 @@ def _segment(meta: Mapping[str, str], rows: Sequence[Row], where: str, faults: l
     span = _span(meta, system, table, where, faults)
     if len(faults) > before:
         return None
-    found = best_interpolation(table, method, degree)
+    found = best_interpolation(table, method, degree, frame)
     if found.typical_km > REFUSED_KM:
         step_s = float(np.median(np.diff(table.stamps_ns))) / 1e9
         why = (

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from magcal_core.errors import ModelRangeError, OrbitFormatError
 from magcal_core.field.igrf import Igrf
 from magcal_core.numerics.interpolation import StateTable
-from magcal_core.orbit.messages.interpolation_check import best_interpolation
-from magcal_core.orbit.messages.oem import parse_oem
+from magcal_core.orbit.ephemeris.interpolation_check import best_interpolation
+from magcal_core.orbit.ephemeris.oem import parse_oem
 from magcal_core.reference.columns import with_reference
 from magcal_core.reference.error_budget import ReferenceSource, error_budget
 from magcal_core.samples import Samples
