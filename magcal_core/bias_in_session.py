@@ -13,6 +13,8 @@ from magcal_core.calibration.reasons import Reason, Verdict
 from magcal_core.calibration.refit.moments import FitMoments
 from magcal_core.calibration.result import Calibration
 from magcal_core.calibration.terms.bias_steps import NOT_SEARCHED, BiasSteps, bias_steps
+from magcal_core.calibration.terms.locked import CERTAIN
+from magcal_core.calibration.terms.locked_posterior import DRIFT
 from magcal_core.errors import OptionError
 from magcal_core.options import CalibrationOptions
 from magcal_core.orbit import Orbit
@@ -61,7 +63,7 @@ def with_moving_bias(
     if options.bias_steps != "none":
         # Moments are of nine parameters: what twelve explain beside them would look like steps.
         of_nine = None if calibration.has_full_matrix else moments
-        steps = steps_of_session(of_nine, calibration.observability)
+        steps = steps_of_session(of_nine, calibration.observability, has_drift=_drifts(calibration))
         if options.bias_steps == "fit" and steps.items and moments is not None:
             fitted = again(*_with_steps_fitted(session, moments, steps))
             calibration, steps = replace(fitted, options=options.to_dict()), replace(steps, is_fitted=True)
@@ -77,14 +79,23 @@ def with_moving_bias(
     return calibration
 
 
-def steps_of_session(moments: FitMoments | None, observability: Observability) -> BiasSteps:
+def steps_of_session(moments: FitMoments | None, observability: Observability, *, has_drift: bool = False) -> BiasSteps:
     """Return the steps of the bias that a fit shows; none are looked for where the data hardly determine it.
 
     The index says so, not the verdict: a step makes the field uncertain, which is no reason not to look for it.
+    ``has_drift``: beside a line in time.
     """
     if moments is None or not observability.index >= WEAK_BELOW:
         return NOT_SEARCHED
-    return bias_steps(moments)
+    return bias_steps(moments, has_drift=has_drift)
+
+
+def _drifts(calibration: Calibration) -> bool:
+    """Return whether a drift of the bias is certain."""
+    said = calibration.extras.get("locked_terms")
+    families = said.get("families") if isinstance(said, dict) else None
+    drift = families.get(DRIFT) if isinstance(families, dict) else None
+    return isinstance(drift, dict) and float(drift["probability"]) > CERTAIN
 
 
 def _with_steps_fitted(session: Session, moments: FitMoments, steps: BiasSteps) -> tuple[Samples, CalibrationOptions]:

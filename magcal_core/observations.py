@@ -29,6 +29,8 @@ from magcal_core.units import NT_PER_UNIT
 
 UNIT_RATIO: Final = (0.1, 10.0)
 """Where median |h| / |B| may lie: outside, the unit is wrong."""
+STRONG: Final = 0.75
+"""Share of the rows whose field is weaker than that in which a wrong unit must show as well."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,16 +186,30 @@ def check_units(h_nt: Floats, b_nt: Floats) -> None:
     Raises
     ------
     UnitsError
-        Median |h| / |B| is outside `UNIT_RATIO`; the message names the unit that would fit.
+        |h| / |B| is outside `UNIT_RATIO` (`ratio_beyond`); the message names the unit that would fit.
     """
-    ratio = float(np.median(lengths(h_nt) / b_nt))
-    if UNIT_RATIO[0] <= ratio <= UNIT_RATIO[1]:
+    ratio = ratio_beyond(h_nt, b_nt, UNIT_RATIO)
+    if ratio is None:
         return
     fits = [unit for unit, factor in NT_PER_UNIT.items() if unit != "nT" and 0.3 <= ratio * factor <= 3.0]
     named = f"; a unit of {' or '.join(fits)} would fit" if fits else ""
     raise UnitsError(
         f"readings are {ratio:.3g} times the field, outside {UNIT_RATIO[0]}..{UNIT_RATIO[1]}: the unit is wrong{named}"
     )
+
+
+def ratio_beyond(h_nt: Floats, b_nt: Floats, limits: tuple[float, float]) -> float | None:
+    """Return the median of |h| / |B| where it is outside ``limits``, of all rows and of those in a strong field.
+
+    None where it is not: beside the weak field of a far orbit a bias alone is many times as much, and no wrong unit.
+    ``h_nt``, shape (n, 3), and ``b_nt``, shape (n,): nT.
+    """
+    ratios = lengths(np.ascontiguousarray(h_nt)) / b_nt
+    ratio = float(np.median(ratios))
+    if limits[0] <= ratio <= limits[1]:
+        return None
+    strong = float(np.median(ratios[b_nt >= np.quantile(b_nt, STRONG)]))
+    return None if limits[0] <= strong <= limits[1] else ratio
 
 
 def corrected_nt(observations: Observations, parameters: Parameters) -> Floats:

@@ -22,6 +22,8 @@ from magcal_core.sensor.parameters import Parameters
 
 _MAX_TURN_RAD: Final = np.pi / 3.0
 """Largest turn of the field between two readings that tells how fast it turns in the sensor."""
+ENOUGH: Final = 5000
+"""Steps that are looked at, evenly spaced."""
 _MOST_STEPS: Final = 0.5
 """Part of the steps between readings that must tell it."""
 
@@ -177,15 +179,50 @@ def _bound(estimate: Estimate, averaging: Averaging) -> tuple[float | None, str]
         if len(speed):
             largest = float(np.max(1.0 - across_share(speed, averaging.integration_s)))
             return largest, "at most, by the gyros' largest rate"
-    x_nt, t_s = corrected_nt(estimate.observations, estimate.fit.parameters), estimate.observations.t_s
-    unit, step_s = x_nt / lengths(x_nt)[:, None], np.diff(t_s)
-    turn_rad = np.arctan2(lengths(np.cross(unit[:-1], unit[1:])), np.sum(unit[:-1] * unit[1:], axis=1))
+    speed_rad_s = _turn_of_readings(estimate)[0]
+    if not len(speed_rad_s):
+        return None, "the readings are too far apart"
+    return _rms(1.0 - across_share(speed_rad_s, averaging.integration_s)), "by the turn of the readings"
+
+
+def _turn_of_readings(estimate: Estimate) -> tuple[Floats, Floats]:
+    """Return how fast the field turns in the sensor from reading to reading, rad/s, and their steps, s, shape (m,).
+
+    Of steps that tell it, some `ENOUGH` of them; of none where these are not most.
+    """
+    observations = estimate.observations
+    first = np.arange(0, len(observations) - 1, max(1, len(observations) // ENOUGH))
+    step_s = observations.t_s[first + 1] - observations.t_s[first]
+    here, there = (corrected_nt(observations.take(rows), estimate.fit.parameters) for rows in (first, first + 1))
+    turn_rad = np.arctan2(lengths(np.cross(here, there)), np.sum(here * there, axis=1))
     is_near = (step_s > 0.0) & (step_s <= MAX_STEP_S)
     is_told = is_near & (turn_rad <= _MAX_TURN_RAD)
     if not np.count_nonzero(is_told) > _MOST_STEPS * len(step_s):
-        return None, "the readings are too far apart"
-    per_step = 1.0 - across_share(turn_rad[is_told] / step_s[is_told], averaging.integration_s)
-    return _rms(per_step), "by the turn of the readings"
+        return np.zeros(0), np.zeros(0)
+    return turn_rad[is_told] / step_s[is_told], step_s[is_told]
+
+
+def untold_averaging(estimate: Estimate, scale_errors: Floats) -> str | None:
+    """Return the warning of averaging that may be there: nobody said how long a reading takes, and it would matter.
+
+    Where a sensor that averages from one reading to the next would miss a scale factor by half its standard error,
+    ``scale_errors``, shape (3,). None where an ``integration_s`` is given, zero included, or the turn is not known.
+    """
+    if estimate.options.integration_s is not None:
+        return None
+    speed_rad_s, steps_s = _turn_of_readings(estimate)
+    if not len(speed_rad_s):
+        return None
+    step_s = float(np.median(steps_s))
+    share = _rms(1.0 - across_share(speed_rad_s, step_s))
+    if share <= SHIFT * float(np.min(scale_errors / np.abs(estimate.fit.parameters.scale))):
+        return None
+    turn_deg = float(np.rad2deg(_rms(speed_rad_s * step_s)))
+    return (
+        f"averaging_not_known: the field turns by {turn_deg:.2g} deg in the sensor from one reading to the next; one "
+        f"that averages over these {step_s:g} s reads up to {share:.2g} of it too little, scale factors come out as "
+        "much too small, and no residual shows it: give integration_s, 0 where readings are momentary"
+    )
 
 
 def _rms(values: Floats) -> float:

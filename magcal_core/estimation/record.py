@@ -21,7 +21,7 @@ from magcal_core.calibration.terms.regressor_selection import untold_terms, usab
 from magcal_core.calibration.uncertainty.bootstrap import bootstrap
 from magcal_core.calibration.verdict.assessment import Judgement, extras_of, matrix_standard_errors
 from magcal_core.errors import IndexRangeError, OrbitMissingError
-from magcal_core.estimation.averaging import said_of_averaging
+from magcal_core.estimation.averaging import said_of_averaging, untold_averaging
 from magcal_core.estimation.estimate import Estimate, still
 from magcal_core.estimation.gyros import gyros_of, mounting_by_gyros
 from magcal_core.estimation.judgement import Judged, source_of_reference, storm_of
@@ -290,6 +290,8 @@ def _warnings(estimate: Estimate, judged: Judged) -> tuple[str, ...]:
         found.append(f"storm: {storm.text}")
     if (averaging := said_of_averaging(estimate)) is not None:
         found += averaging.warnings(estimate.fit.parameters.scale, judgement.standard_errors.scale)
+    elif (untold := untold_averaging(estimate, judgement.standard_errors.scale)) is not None:
+        found.append(untold)
     if not estimate.estimator.is_vector:
         found.append("reflection_free: |B| alone cannot show an inverted axis, nor a rotation of the whole sensor")
     found += residual_warnings(

@@ -33,6 +33,7 @@ from magcal_core.reference.error_budget import DRIFT_KM_PER_DAY, EPHEMERIS_KM, E
 from magcal_core.reference.referenced_samples import MovableObservations, Referenced
 from magcal_core.reference.shifted_times import MovingReference
 from magcal_core.samples import Samples
+from magcal_core.sensor.regressors import TIME_REGRESSOR
 
 SPEED_KM_S: Final = 7.6
 """Speed of a low orbit: what turns an error along the track into one of time."""
@@ -103,7 +104,8 @@ class LockedSession:
             return known[1]
         x_nt = corrected_nt(observations, fit.parameters)
         unit = x_nt / np.linalg.norm(x_nt, axis=1)[:, None]
-        made = locked_columns(observations.t_s, self.around, unit, fit.weights > 0)
+        has_time = TIME_REGRESSOR in observations.regressors
+        made = locked_columns(observations.t_s, self.around, unit, fit.weights > 0, has_time=has_time)
         self._columns[id(fit)] = (fit, made)
         return made
 

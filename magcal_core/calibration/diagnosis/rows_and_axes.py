@@ -9,7 +9,7 @@ import numpy as np
 from magcal_core.arrays import Floats
 from magcal_core.calibration.diagnosis.cause import Finding
 from magcal_core.calibration.diagnosis.explanation import spread_of
-from magcal_core.numerics.vectors import lengths
+from magcal_core.observations import ratio_beyond
 from magcal_core.samples import SampleFlag, Samples
 from magcal_core.units import NT_PER_UNIT
 
@@ -69,11 +69,12 @@ def constant_axis(h_nt: Floats, b_nt: Floats) -> Finding | None:
 
 
 def wrong_unit(h_nt: Floats, b_nt: Floats) -> Finding | None:
-    """Return that readings and field differ by more than a factor of eight, and the unit that would fit."""
-    if not len(h_nt):
-        return None
-    ratio = float(np.median(lengths(np.ascontiguousarray(h_nt)) / b_nt))
-    if 1.0 / UNIT_RATIO <= ratio <= UNIT_RATIO:
+    """Return that readings and field differ by more than a factor of eight, and the unit that would fit.
+
+    By that where the field is strong as well (`ratio_beyond`).
+    """
+    ratio = ratio_beyond(h_nt, b_nt, (1.0 / UNIT_RATIO, UNIT_RATIO)) if len(h_nt) else None
+    if ratio is None:
         return None
     fits = [unit for unit, factor in NT_PER_UNIT.items() if unit != "nT" and 0.3 <= ratio * factor <= 3.0]
     named = f": {' or '.join(fits)} taken for nT?" if fits else "; raw counts, or another scale?"

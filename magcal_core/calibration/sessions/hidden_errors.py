@@ -124,7 +124,8 @@ def _locked(rows: Rows, columns: LockedColumns, back: Floats, covariance: Floats
     products = products_of(rows, columns.columns, back @ (reduced.offset - reduced.carry @ a), a)
     share = share_of(products[1:] / max(float(products[0]), 1e-300), rows.count)
     freedom = max(rows.freedom, 1)
-    mixture = mixture_of(reduced, columns.family_of_terms, freedom, share)
+    families = columns.locked_families
+    mixture = mixture_of(reduced, families.of_terms, freedom, share, own_sizes=families.own_sizes)
     formal = float(mixture.weights @ mixture.noise) / share * reduced.inverse
     found = mixture.covariance(np.zeros(p)) - formal
     return 0.5 * (found + found.T)

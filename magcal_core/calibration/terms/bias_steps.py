@@ -139,9 +139,15 @@ class BiasSteps:
 NOT_SEARCHED: Final = BiasSteps("not_searched", 0.0, None, ())
 
 
-def bias_steps(moments: KeptMoments) -> BiasSteps:
-    """Return the steps of the bias that the moments of a fit show."""
+def bias_steps(moments: KeptMoments, *, has_drift: bool = False) -> BiasSteps:
+    """Return the steps of the bias that the moments of a fit show.
+
+    ``has_drift``: the bias is known to drift, so that steps are looked for beside a line in time: of passes that are
+    hours apart, one would do for it.
+    """
     blocks = Blocks.of(moments)
+    if has_drift:
+        blocks = blocks.beside_a_line()
     if len(blocks) < _FEWEST_BLOCKS or blocks.freedom < 1.0:
         return NOT_SEARCHED
     still = _search(blocks, [Process.of(blocks, MODELS[0])], ())

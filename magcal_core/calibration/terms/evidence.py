@@ -18,7 +18,9 @@ the Cholesky factor of the matrix bordered by kv, with k S in the corner, holds 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -31,6 +33,7 @@ from magcal_core.numerics.linear_algebra import is_positive_definite, scaled_inv
 
 SIZES: Final = (0.0, 0.1, 0.3, 1.0, 3.0)
 """Sizes of a family, root mean square, that are tried, in standard deviations of the residual."""
+NO_SIZES: Final[Mapping[int, tuple[float, ...]]] = MappingProxyType({})
 ABSENT: Final = 0.5
 """Probability, before the data are seen, that a family is not there; the other sizes share the rest."""
 LEAST_WEIGHT: Final = 1e-4
@@ -148,12 +151,13 @@ class Mixture:
         return np.asarray(self.weights @ (self.sizes > 0))
 
 
-def mixture_of(
+def mixture_of(  # noqa: PLR0917
     reduced: Reduced,
     families: NDArray[np.intp],
     freedom: int,
     share: float,
     sizes: tuple[float, ...] = SIZES,
+    own_sizes: Mapping[int, tuple[float, ...]] = NO_SIZES,
 ) -> Mixture:
     """Return the posterior over all combinations of ``sizes``.
 
@@ -168,10 +172,14 @@ def mixture_of(
         Effective share of the rows (k).
     sizes : tuple of float
         Sizes of each family that are tried, zero first.
+    own_sizes : family -> tuple of float
+        Those of families that have others.
     """
     count = int(families.max()) + 1 if len(families) else 0
-    grid = np.array(list(itertools.product(sizes, repeat=count))).reshape(len(sizes) ** count, count)
-    prior = np.sum(np.where(grid > 0, np.log((1.0 - ABSENT) / (len(sizes) - 1)), np.log(ABSENT)), axis=1)
+    tried = [own_sizes.get(i, sizes) for i in range(count)]
+    grid = np.array(list(itertools.product(*tried)))
+    present = np.log([(1.0 - ABSENT) / (len(one) - 1) for one in tried])
+    prior = np.sum(np.where(grid > 0, present, np.log(ABSENT)), axis=1)
     logs = prior + log_likelihoods(reduced, grid[:, families] if count else grid, freedom, share)
     top = float(logs.max())
     weights = np.exp(logs - top)

@@ -23,6 +23,7 @@ from magcal_core.calibration.estimators.contract import Fit
 from magcal_core.calibration.estimators.linear_rows import Moments, rows_of
 from magcal_core.calibration.terms.evidence import SIZES
 from magcal_core.calibration.terms.locked_columns import LockedColumns
+from magcal_core.calibration.terms.locked_posterior import DRIFT
 from magcal_core.calibration.terms.locked_rows import FamilyRecord, LockedModel, held_out, softening_of
 from magcal_core.calibration.uncertainty.cross_validation import folds_of
 from magcal_core.calibration.uncertainty.honest_covariance import HonestCovariance, with_blocks
@@ -109,8 +110,7 @@ class LockedTerms:
     def warnings(self) -> tuple[str, ...]:
         """Which families are certain, and that a part of the sun's is not seen."""
         found = [
-            f"bias_locked: the bias follows {_WORDS[name]} ({family.rms_nt:.0f} nT root mean square in the residual); "
-            "give the temperature or the currents as regressors"
+            f"bias_locked: the bias {_WORDS[name].format(size=f'{family.rms_nt:.0f} nT root mean square')}"
             for name, family in self.families.items()
             if family.probability > CERTAIN
         ]
@@ -134,7 +134,13 @@ class LockedTerms:
         }
 
 
-_WORDS: Final = {"orbit": "the orbital period", "heat": "light and shadow", "sun": "the direction of the sun"}
+_CURE: Final = "({size} in the residual); give the temperature or the currents as regressors"
+_WORDS: Final = {
+    "orbit": f"follows the orbital period {_CURE}",
+    "heat": f"follows light and shadow {_CURE}",
+    "sun": f"follows the direction of the sun {_CURE}",
+    DRIFT: "drifts over the session ({size} in the residual); bias_nt is its mean, shorter sessions follow it",
+}
 
 
 def locked_terms(

@@ -1,4 +1,4 @@
-"""Columns of time that an error of the bias may follow: the orbit, the heat of the sun, the sun on panels.
+"""Columns of time that an error of the bias may follow: the orbit, the heat of the sun, the sun on panels, a drift.
 
 Notes
 -----
@@ -7,7 +7,9 @@ bias: `orbit`, cosine and sine of the orbital period and of half of it, over mor
 the time from the middle as well; `heat`, light (1 in the sun, 0 in the umbra, a cylinder of 6378 km) and light through
 y' = (light - y) / tau; `sun`, light times the sun's direction in the sensor's frame and times its size, axis by axis.
 Without attitude the direction is replaced by its part along the field: c u, c the cosine of field and sun, u the
-direction of the corrected reading.
+direction of the corrected reading. `drift`, over more than a day: a line in time. It does not follow the orbit, but
+passes of minutes, hours apart, take a bias that drifts for one that does: over days its line is far larger than
+anything else. Of less than a day real telemetry is no better for it.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from numpy.typing import NDArray
 from magcal_core.arrays import Floats, Mask, Times
 from magcal_core.attitude.rotation import rotate_rows
 from magcal_core.calibration.terms.heat_columns import heat_columns, light_of, places_itrf_km, sun_gcrf
-from magcal_core.calibration.terms.locked_posterior import LockedFamilies
+from magcal_core.calibration.terms.locked_posterior import DRIFT, LockedFamilies
 from magcal_core.constants import EARTH_ROTATION_RAD_S
 from magcal_core.errors import ModelRangeError
 from magcal_core.field import FieldModel
@@ -32,9 +34,11 @@ from magcal_core.orbit.earth.earth_fixed import itrf_to_gcrf_fast
 from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
 from magcal_core.samples import Samples
 
-FAMILIES: Final = ("orbit", "heat", "sun")
+FAMILIES: Final = ("orbit", "heat", "sun", DRIFT)
 MANY_ORBITS: Final = 4.0
 """Orbits from which on the amplitude of a wave may change over the session."""
+DRIFTS_S: Final = 86400.0
+"""Length of a session, s, from which on its bias may drift."""
 _LEAST_SPREAD: Final = 1e-3
 """Standard deviation below which a column is constant."""
 MOST_UNSEEN: Final = 4.0
@@ -136,7 +140,9 @@ def surroundings_of(
     return Surroundings(period_s, light, None, np.einsum("ni,ni->n", b_nt, sun) / lengths(b_nt), heat)
 
 
-def locked_columns(t_s: Floats, around: Surroundings, unit: Floats, used: Mask) -> LockedColumns | None:
+def locked_columns(
+    t_s: Floats, around: Surroundings, unit: Floats, used: Mask, *, has_time: bool = False
+) -> LockedColumns | None:
     """Return the columns of all families that there are; None where nothing is known to be locked to.
 
     Parameters
@@ -148,6 +154,8 @@ def locked_columns(t_s: Floats, around: Surroundings, unit: Floats, used: Mask) 
         Direction of the corrected reading, for the sun's part along the field.
     used : shape (n,)
         Samples that have weight: the columns are centred over them.
+    has_time : bool
+        Whether a line in time is an unknown of the fit itself.
     """
     made: list[tuple[str, Floats]] = []
     unseen = 0.0
@@ -164,6 +172,8 @@ def locked_columns(t_s: Floats, around: Surroundings, unit: Floats, used: Mask) 
             made += [("sun", column) for column in (lit * towards).T] + [
                 ("sun", column) for column in (lit * np.abs(towards)).T
             ]
+    if not has_time and made and t_s[-1] - t_s[0] > DRIFTS_S:
+        made += [(DRIFT, t_s)]
     columns, families = [], []
     for name, column in made:
         centred = column - column[used].mean()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -15,6 +16,10 @@ from magcal_core.calibration.uncertainty.honest_covariance import student_95
 from magcal_core.calibration.uncertainty.low_frequencies import low_frequency_variances
 from magcal_core.numerics.blocks import BlockScores
 
+DRIFT: Final = "drift"
+"""The family of a line in time."""
+DRIFT_SIZES: Final = (0.0, 1.0)
+"""Its sizes, in standard deviations of the residual, which is mostly the drift where there is one."""
 COHERENCE: Final = 0.1
 """Root mean square coherence of the unseen part of the sun's term with what parameters do: 0.03 to 0.15 measured."""
 
@@ -36,6 +41,11 @@ class LockedFamilies:
     names: tuple[str, ...]
     of_terms: NDArray[np.intp]
     unseen: float = 0.0
+
+    @property
+    def own_sizes(self) -> Mapping[int, tuple[float, ...]]:
+        """Sizes of the families that have others than the rest, by their numbers."""
+        return {self.names.index(DRIFT): DRIFT_SIZES} if DRIFT in self.names else {}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +85,8 @@ class Posterior:
         sizes: tuple[float, ...] = SIZES,
     ) -> Posterior:
         """Return the posterior of ``moments``, whose sum is ``reduced``, over ``sizes`` of every family."""
-        mixture = mixture_of(reduced, families.of_terms, count - moments.known, share, sizes)
+        freedom = count - moments.known
+        mixture = mixture_of(reduced, families.of_terms, freedom, share, sizes, families.own_sizes)
         return cls(moments, reduced, mixture, families, share, count)
 
     @property

@@ -14,7 +14,7 @@ P the process's own precision. Steps found so far are unknowns too, held by a pr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Protocol
 
 import numpy as np
@@ -166,6 +166,17 @@ class Blocks:
             self.weights * kept,
             self.middle_s,
         )
+
+    def beside_a_line(self) -> Blocks:
+        """Return the blocks with a line in time of the bias, three unknowns more behind those of the fit."""
+        at = 2.0 * (self.middle_s - self.middle_s.mean()) / max(float(np.ptp(self.middle_s)), 1e-9)
+        carry = np.zeros((len(self), self.scores.shape[1], 3))
+        carry[:, BIAS] = at[:, None, None] * np.eye(3)
+        shared = self.normals @ carry
+        across = carry.swapaxes(1, 2)
+        normals = np.block([[self.normals, shared], [shared.swapaxes(1, 2), across @ shared]])
+        scores = np.concatenate([self.scores, np.einsum("bcq,bq->bc", across, self.scores)], axis=1)
+        return replace(self, normals=normals, scores=scores)
 
     @property
     def freedom(self) -> float:

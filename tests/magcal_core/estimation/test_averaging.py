@@ -80,6 +80,24 @@ def test_averaging_makes_scale_factors_small_and_the_integration_time_mends_it(m
     assert not any(one["source"] == "sensor_averaging" for one in known.to_dict()["error_budget"])
 
 
+def test_averaging_that_nobody_spoke_of_is_told():
+    """The field turns by up to 25 deg a second: the share told is what the scale factors lack, or a little more.
+
+    A half more at most: the readings turn by what lies across the axis alone. Where an integration time is given, none
+    or another, and where the sensor hardly turns between two readings, there is nothing to tell.
+    """
+    plain = calibrate(spinning(), [orbit()], method="vector", **PLAIN)
+    (told,) = [text for text in plain.warnings if text.startswith("averaging_not_known")]
+    share = float(told.split("reads up to ")[1].split(" of it")[0])
+    assert 1.0 < share / -scale_error(plain).mean() < 1.5
+    for time_s in (0.0, 1.0):
+        said = calibrate(spinning(), [orbit()], method="vector", integration_s=time_s, **PLAIN).warnings
+        assert not [text for text in said if text.startswith("averaging_not_known")]
+    slow = simulate(orbit(), SENSOR, START, 6000.0, 10.0, rate_deg_s=(0.05, -0.03, 0.06), seed=3).samples
+    said = calibrate(slow, [orbit()], method="vector", **PLAIN).warnings
+    assert not [text for text in said if text.startswith("averaging_not_known")]
+
+
 def test_the_reference_at_the_clocks_own_time_is_the_averaged_one():
     """The search for the clock asks for the field again; what it gets is averaged as well, with attitude or |B|."""
     options = CalibrationOptions(integration_s=1.0)
