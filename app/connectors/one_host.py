@@ -8,8 +8,9 @@ from urllib.parse import urlsplit
 
 import httpx2
 
-from app.connectors.http import AGENT, SourceAnswerError, SourceContentError, SourceUnreachableError
+from app.connectors.errors import SourceAnswerError, SourceContentError, SourceUnreachableError
 
+AGENT: Final = "magcal (in-flight magnetometer calibration)"
 TIMEOUT_S: Final = 60.0
 MOST_BYTES: Final = 64 << 20
 _OF_THE_WAY: Final = frozenset({"content-encoding", "content-length", "transfer-encoding"})
@@ -19,7 +20,7 @@ _OF_THE_WAY: Final = frozenset({"content-encoding", "content-length", "transfer-
 def client_of(base_url: str, headers: Mapping[str, str] | None = None) -> httpx2.Client:
     """Return an HTTP client that asks the one host of ``base_url``, and whose every answer is a 200.
 
-    It raises the errors of `app.connectors.http`, SourceContentError also where ``base_url`` is no address of HTTP.
+    It raises the errors of `app.connectors.errors`, SourceContentError also where ``base_url`` is no address of HTTP.
     """
     parts = urlsplit(base_url)
     if parts.scheme not in {"http", "https"} or not parts.hostname:

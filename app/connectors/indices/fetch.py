@@ -15,13 +15,8 @@ import structlog
 
 from app.access.audit_trail import record_event
 from app.access.caller import SYSTEM
-from app.connectors.http import (
-    SourceAnswerError,
-    SourceClient,
-    SourceContentError,
-    SourceUnreachableError,
-    require_no_page,
-)
+from app.connectors.errors import SourceAnswerError, SourceContentError, SourceUnreachableError, require_no_page
+from app.connectors.http import SourceClient
 from app.connectors.indices.contract import IndexPart
 from app.connectors.indices.registry import INDEX_SOURCES
 from app.connectors.tables import ConnectorMark, ConnectorStop

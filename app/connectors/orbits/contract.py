@@ -41,7 +41,7 @@ class OrbitSource(Protocol):
     package: str | None
 
     def ask(self, settings: Settings, watched: Watched) -> Reply:
-        """Return what the source has of an object; the errors are those of `app.connectors.http`."""
+        """Return what the source has of an object; the errors are those of `app.connectors.errors`."""
         ...
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from app.connectors.http import SourceContentError
+from app.connectors.errors import SourceContentError
 from app.connectors.orbits.contract import Limit, Reply, Watched
 
 if TYPE_CHECKING:

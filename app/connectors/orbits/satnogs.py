@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-from app.connectors.http import SourceClient, SourceContentError, require_no_page
+from app.connectors.errors import SourceContentError, require_no_page
+from app.connectors.http import SourceClient
 from app.connectors.orbits.contract import Limit, Reply, Watched
 
 if TYPE_CHECKING:

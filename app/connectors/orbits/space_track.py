@@ -10,7 +10,7 @@ import json
 from datetime import date
 from typing import TYPE_CHECKING
 
-from app.connectors.http import SourceAnswerError, SourceContentError, require_no_page
+from app.connectors.errors import SourceAnswerError, SourceContentError, require_no_page
 from app.connectors.orbits.contract import Limit, Reply, Watched
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def _answer(settings: Settings, name: str, **predicates: object) -> bytes:
     Raises
     ------
     SourceAnswerError, SourceUnreachableError, SourceContentError
-        Those of `app.connectors.http`; a login that fails with 200 stops the source, too.
+        Those of `app.connectors.errors`; a login that fails with 200 stops the source, too.
     """
     from spacetrack import AuthenticationError
 

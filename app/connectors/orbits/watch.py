@@ -21,7 +21,7 @@ from sqlalchemy.orm import Session
 
 from app.access.audit_trail import record_event
 from app.access.caller import SYSTEM
-from app.connectors.http import SourceAnswerError, SourceContentError, SourceUnreachableError
+from app.connectors.errors import SourceAnswerError, SourceContentError, SourceUnreachableError
 from app.connectors.orbits import past
 from app.connectors.orbits.contract import OrbitSource, PastSource, Reply, Watched
 from app.connectors.orbits.registry import ORBIT_SOURCES

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Final
 
-from app.connectors.http import SourceClient, SourceContentError, require_no_page
+from app.connectors.errors import SourceContentError, require_no_page
+from app.connectors.http import SourceClient
 from app.connectors.telemetry.contract import TIME, Page, PullOptionError, Wanted, instant, iso
 
 SPAN: Final = timedelta(hours=6)

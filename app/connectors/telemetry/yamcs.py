@@ -11,7 +11,8 @@ from collections.abc import Iterator
 from datetime import datetime, timedelta
 from typing import Final
 
-from app.connectors.http import SourceAnswerError, SourceClient, SourceContentError, require_no_page
+from app.connectors.errors import SourceAnswerError, SourceContentError, require_no_page
+from app.connectors.http import SourceClient
 from app.connectors.telemetry.contract import TIME, Page, PullOptionError, Wanted, instant, iso
 from app.connectors.telemetry.yamcs_history import history_pages
 

@@ -13,7 +13,8 @@ from datetime import datetime
 from typing import Final
 from urllib.parse import quote
 
-from app.connectors.http import SourceClient, SourceContentError, require_no_page
+from app.connectors.errors import SourceContentError, require_no_page
+from app.connectors.http import SourceClient
 from app.connectors.telemetry.contract import TIME, Page, Wanted, instant, iso
 
 LIMIT: Final = 10_000

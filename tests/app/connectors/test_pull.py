@@ -14,7 +14,7 @@ import pytest
 from sqlalchemy import delete, select
 
 from app.access.caller import SYSTEM
-from app.connectors.http import SourceAnswerError, SourceContentError
+from app.connectors.errors import SourceAnswerError, SourceContentError
 from app.connectors.tables import ConnectorMark, ConnectorSeen
 from app.connectors.telemetry.contract import PullOptionError, Wanted, instant
 from app.connectors.telemetry.pull import Pull
