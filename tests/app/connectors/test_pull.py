@@ -69,10 +69,10 @@ class Pulls:
     def kill(self) -> None:
         self._process.kill()
 
-    def statuses(self, url: str, most: int) -> list[int]:
+    def statuses(self, url: str, most: int, kind: str = "yamcs") -> list[int]:
         """Return how each pull from the archive at ``url`` ended, up to the first that was not killed."""
         words = [
-            "pull", "yamcs", "--base-url", url, "--satellite", "sat", "--magnetometer", "mgm", "--instance", "sim",
+            "pull", kind, "--base-url", url, "--satellite", "sat", "--magnetometer", "mgm", "--instance", "sim",
             "--columns", json.dumps(MAP), "--since", BEGIN.isoformat(), "--once",
         ]  # fmt: skip
         found = []
@@ -189,6 +189,72 @@ def test_a_history_of_ten_thousand_rows_over_five_pages_is_all_there_after_a_kil
         return whole(asked)
 
     assert pulls.statuses(serve(answer).url, 9) == [-9, -9, -9, -9, -9, 0]
+    assert sorted(numbers(database, settings)) == list(range(10_000))
+
+
+def hapi_of(rows: int, step_s: float):
+    """Answer as a HAPI server does, as far as its dataset reaches."""
+    info = {
+        "HAPI": "3.2", "status": {"code": 1200}, "startDate": BEGIN.isoformat(),
+        "stopDate": (BEGIN + timedelta(seconds=rows * step_s)).isoformat(),
+        "parameters": [{"name": "Time", "type": "isotime"}, *({"name": one, "type": "double"} for one in MAP.values())],
+    }  # fmt: skip
+
+    def answer(asked):
+        if asked.path == "/info":
+            return 200, {}, json.dumps(info).encode()
+        first, last = (
+            int(np.ceil((datetime.fromisoformat(asked.query[name]) - BEGIN).total_seconds() / step_s))
+            for name in ("time.min", "time.max")
+        )
+        lines = [
+            f"{(BEGIN + timedelta(seconds=n * step_s)).isoformat()},{','.join(map(str, reading(n)))}"
+            for n in range(first, min(last, rows))
+        ]
+        return 200, {}, "\n".join([*lines, ""]).encode()
+
+    return answer
+
+
+def satnogs_of(rows: int, step_s: float):
+    """Answer as SatNOGS DB does, 2,000 frames a page, the newest first."""
+
+    def answer(asked):
+        start = datetime.fromisoformat(asked.query.get("start", "2000-01-01T00:00:00Z"))
+        first = max(0, int(np.ceil((start - BEGIN).total_seconds() / step_s)))
+        top = int(asked.query.get("cursor", rows))
+        own = range(top - 1, max(first, top - 2000) - 1, -1)
+        results = [
+            {"timestamp": (BEGIN + timedelta(seconds=n * step_s)).isoformat(),
+             "decoded": dict(zip(MAP.values(), map(str, reading(n)), strict=True))}
+            for n in own
+        ]  # fmt: skip
+        more = None
+        if own and own[-1] > first:
+            more = f"http://{asked.headers['host']}/api/telemetry/?cursor={own[-1]}"
+            more += f"&start={asked.query['start']}" if "start" in asked.query else ""
+        return 200, {}, json.dumps({"next": more, "results": results}).encode()
+
+    return answer
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["hapi", "satnogs"])
+def test_ten_thousand_rows_of_other_archives_killed_at_each_of_five_pages_are_all_there(
+    database, settings, serve, pulls, kind
+):
+    """At the real command line, each process killed while another page is on its way to it."""
+    whole = {"hapi": hapi_of, "satnogs": satnogs_of}[kind](10_000, 6 * 3600 / 2000)
+    places: set[str] = set()
+
+    def answer(asked):
+        place = asked.query.get("cursor") or asked.query.get("time.min") or asked.path
+        if place not in places and not (kind == "hapi" and asked.path == "/info") and len(places) < 5:
+            places.add(place)
+            pulls.kill()
+        return whole(asked)
+
+    assert pulls.statuses(serve(answer).url, 9, kind) == [-9, -9, -9, -9, -9, 0]
     assert sorted(numbers(database, settings)) == list(range(10_000))
 
 
