@@ -23,14 +23,13 @@ WAIT_MS = 60_000
 
 
 def settle(page: Page) -> None:
-    """Wait until a page has its numbers and each figure is drawn."""
+    """Wait until a page has its numbers, each figure is drawn, and what is loaded when one comes near is there."""
     page.locator("h1").first.wait_for()
-    next_one = """() => { const node = document.querySelector(".plot[aria-busy]");
-        node?.scrollIntoView(); return node === null; }"""
+    next_one = """() => { const node = document.querySelector(".plot[aria-busy]")
+          ?? [...document.querySelectorAll("main p")].find((one) => one.textContent === "Loading …");
+        node?.scrollIntoView(); return !node; }"""
     page.wait_for_timeout(700)
     page.wait_for_function(next_one, timeout=WAIT_MS, polling=200)
-    page.evaluate("() => scrollTo(0, document.body.scrollHeight)")
-    page.wait_for_function("() => !document.body.innerText.includes('Loading …')", timeout=WAIT_MS)
     page.evaluate("() => scrollTo(0, 0)")
 
 

@@ -133,3 +133,21 @@ def test_everything_on_a_page_is_reached_by_keyboard(
     check_keyboard(page)
     if name == "unknown":
         screen.errors.clear()  # Chromium itself reports the answer of 404 in the console
+
+
+@pytest.mark.parametrize(("width", "wanted"), [(390, [0, 1]), (1366, [0.35, 0.63])])
+def test_panels_of_a_history_stand_below_each_other_on_a_phone(
+    width: int, wanted: list[float], browser: Browser, flown: tuple[Service, Mission]
+) -> None:
+    """Three beside each other write their dates over one another there."""
+    service, mission = flown
+    context = browser.new_context(viewport={"width": width, "height": 800})
+    found = watched(context, service)
+    sign_in(found.page, service)
+    page = found.open(mission.addresses["satellite"])
+    page.get_by_role("group", name="Bias, scale and angles over time").scroll_into_view_if_needed()
+    page.wait_for_function("() => document.querySelector('.plot[data-drawn]') !== null")
+    domain = page.evaluate("() => document.querySelector('.plot[data-drawn]').layout.xaxis2.domain")
+    assert domain == pytest.approx(wanted)
+    context.close()
+    found.check()

@@ -27,14 +27,34 @@ export function whenNear(node, act) {
   near.observe(node);
 }
 
+const NARROW_PX = 560;
+const PANEL_PX = 170;
+
+// Panels of a figure that stand beside each other over time, three a row, stand below each other where there is no room.
+function fitting(layout, width) {
+  const numbers = Object.keys(layout).filter((name) => /^xaxis\d*$/.test(name)).map((name) => name.slice(5));
+  const isBeside = numbers.length > 3 && numbers.every((n) => layout[`xaxis${n}`].type === "date" && layout[`xaxis${n}`].domain?.[1] - layout[`xaxis${n}`].domain?.[0] < 0.4);
+  if (width >= NARROW_PX || !isBeside) return layout;
+  const share = 1 / numbers.length;
+  const made = { ...layout, height: PANEL_PX * numbers.length };
+  numbers.sort((a, b) => Number(a || 1) - Number(b || 1)).forEach((n, i) => {
+    const top = 1 - i * share;
+    made[`xaxis${n}`] = { ...layout[`xaxis${n}`], domain: [0, 1] };
+    made[`yaxis${n}`] = { ...layout[`yaxis${n}`], domain: [top - 0.55 * share, top] };
+  });
+  made.annotations = layout.annotations.map((one, i) => ({ ...one, x: 0, y: 1 - i * share + 0.002 }));
+  return made;
+}
+
 async function draw(node) {
   const theme = document.documentElement.dataset.theme;
   const address = node.dataset.address;
   try {
     const [made, Plotly] = await Promise.all([
       api(`${address}${address.includes("?") ? "&" : "?"}theme=${theme}`), plotly()]);
-    node.style.minHeight = `${made.layout.height}px`;
-    await Plotly.react(node, made.data, made.layout, {
+    const layout = fitting(made.layout, node.clientWidth);
+    node.style.minHeight = `${layout.height}px`;
+    await Plotly.react(node, made.data, layout, {
       responsive: true, displaylogo: false, showSendToCloud: false, plotlyServerURL: "", modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
       toImageButtonOptions: { scale: 2 } });
     node.dataset.drawn = theme;

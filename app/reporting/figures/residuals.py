@@ -284,7 +284,7 @@ def _colour_limit(residual_nt: Floats) -> float:
 
 
 def _coloured(x: Floats, y: Floats, colour_nt: Floats, theme: Theme, limit: float | None = None) -> Trace:
-    """Return points by their colour, symmetric about zero; a thin ring shows those near zero, pale as the surface."""
+    """Return points by their colour, symmetric about zero, those near zero grey: they are to be seen as well."""
     reach = _colour_limit(colour_nt) if limit is None else limit
     bar = {"title": {"text": "nT", "side": "top"}, "thickness": 12, "len": 0.8, "outlinewidth": 0}
     return {
@@ -295,10 +295,9 @@ def _coloured(x: Floats, y: Floats, colour_nt: Floats, theme: Theme, limit: floa
         "marker": {
             "size": 5,
             "color": colour_nt,
-            "line": {"color": theme.muted, "width": 0.5},
             "cmin": -reach,
             "cmax": reach,
-            "colorscale": [list(stop) for stop in theme.diverging],
+            "colorscale": [[at, theme.zero if at == 0.5 else colour] for at, colour in theme.diverging],
             "colorbar": bar,
         },
     }

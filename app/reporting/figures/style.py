@@ -38,6 +38,7 @@ class Theme:
     series: tuple[str, str, str, str, str, str]
     grades: Mapping[str, str]
     diverging: Sequence[tuple[float, str]]
+    zero: str
     sequential: Sequence[tuple[float, str]]
 
 
@@ -53,6 +54,7 @@ LIGHT: Final = Theme(
     series=("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#8a6d00", "#56b4e9"),
     grades={"accept": "#00795a", "weak": "#9a6700", "refuse": "#b3261e"},
     diverging=((0.0, "#08519c"), (0.25, "#6baed6"), (0.5, "#f2f2f2"), (0.75, "#fd8d3c"), (1.0, "#a63603")),
+    zero="#a8aeb5",
     sequential=((0.0, "#00224e"), (0.25, "#414d6b"), (0.5, "#7c7b78"), (0.75, "#bcaf6f"), (1.0, "#fee838")),
 )
 DARK: Final = Theme(
@@ -67,6 +69,7 @@ DARK: Final = Theme(
     series=("#56b4e9", "#f0883e", "#2fc79a", "#e59cc4", "#e5c453", "#8fa8ff"),
     grades={"accept": "#3fc79a", "weak": "#e5b53a", "refuse": "#ff7b72"},
     diverging=((0.0, "#6bb4f0"), (0.25, "#2b6aa3"), (0.5, "#30363d"), (0.75, "#ab4f16"), (1.0, "#ffab70")),
+    zero="#56606b",
     sequential=((0.0, "#1d3a6b"), (0.25, "#565f80"), (0.5, "#8c8a85"), (0.75, "#c8ba72"), (1.0, "#fee838")),
 )
 THEMES: Final[Mapping[str, Theme]] = {"light": LIGHT, "dark": DARK}
