@@ -10,9 +10,10 @@ several kernels need are here.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
+from functools import cache
 from typing import Final, Literal, TypeVar, cast
 
-from llvmlite.binding import ModuleRef, parse_bitcode
+from llvmlite.binding import ModuleRef, add_symbol, parse_bitcode
 from numba import njit
 from numba.core.base import BaseContext
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
@@ -20,7 +21,7 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult, compile_result
 from numba.core.dispatcher import Dispatcher
 from numba.core.environment import Environment
-from numba.core.runtime.nrt import rtsys
+from numba.core.runtime import _nrt_python
 from numba.core.typing.templates import Signature
 
 from magcal_core.arrays import Floats
@@ -121,9 +122,20 @@ class KernelCache(FunctionCache):
 
     def load_overload(self, sig: Signature, target_context: BaseContext) -> CompileResult | None:
         """Return the kernel for the signature from the disk, None where it is not there."""
-        rtsys.initialize(target_context)
+        _name_helpers()
         found: CompileResult | None = self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
         return found
+
+
+@cache
+def _name_helpers() -> None:
+    """Give the linker the addresses of numba's own helpers in C, which make and free arrays.
+
+    Numba compiles its counters of references as well before it takes the first kernel from the disk; a kernel there has
+    them in itself, and the compiler asks for them itself.
+    """
+    for name, address in _nrt_python.c_helpers.items():
+        add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
 
 
 def _is_numbas(environment: Environment) -> bool:
