@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from functools import cache
-from typing import Final, Literal, TypeVar, cast
+from typing import TYPE_CHECKING, Final, Literal, TypeVar, cast
 
-from llvmlite.binding import ModuleRef, add_symbol, parse_bitcode
+from llvmlite.binding import ModuleRef, add_symbol, parse_bitcode  # type: ignore[import-untyped]
 from numba import njit
 from numba.core.base import BaseContext
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
@@ -21,11 +21,27 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult, compile_result
 from numba.core.dispatcher import Dispatcher
 from numba.core.environment import Environment
-from numba.core.runtime import _nrt_python
+from numba.core.runtime import _nrt_python  # type: ignore[attr-defined]
 from numba.core.typing.templates import Signature
 
 from magcal_core.arrays import Floats
 
+if TYPE_CHECKING:
+    from numba.core.cpu import CPUContext
+
+Payload = tuple[
+    tuple[str, str, tuple[bytes, bytes]],
+    object,
+    Environment,
+    object,
+    bool,
+    object,
+    str,
+    tuple[Callable[[], None], ...],
+    tuple[Environment, ...],
+]
+"""What numba writes of a compiled function: its library (name, kind, machine code and bitcode), description, own
+environment, signature, whether it is in object mode, lifted loops, types as text, initialisers, other environments."""
 LAYOUT: Final = "without empty environments"
 """Stands in the name of what is on the disk: files of another layout are not taken, and written anew."""
 
@@ -46,7 +62,7 @@ class KernelLibrary(JITCodeLibrary):
     @classmethod
     def of(cls, codegen: object, name: str, object_code: bytes, bitcode: bytes) -> KernelLibrary:
         """Return the library of what the disk has."""
-        library = cls(codegen, name)  # type: ignore[no-untyped-call]
+        library = cls(codegen, name)
         library.enable_object_caching()  # type: ignore[no-untyped-call]
         library._set_compiled_object(object_code)  # type: ignore[no-untyped-call]
         library._bitcode = bitcode
@@ -60,7 +76,7 @@ class KernelLibrary(JITCodeLibrary):
     def _get_module_for_linking(self) -> ModuleRef:
         if self._shared_module is None:
             self._shared_module = parse_bitcode(self._bitcode)
-            self._codegen._engine._load_defined_symbols(self._shared_module)
+            self._codegen._engine._load_defined_symbols(self._shared_module)  # type: ignore[no-untyped-call]
         return self._shared_module
 
 
@@ -74,18 +90,18 @@ class KernelFiles(CompileResultCacheImpl):
     numba's modules that they are of.
     """
 
-    def reduce(self, cres: CompileResult) -> tuple[object, ...]:
+    def reduce(self, cres: CompileResult) -> Payload:
         """Return what is written of a compiled kernel."""
-        *parts, others = cres._reduce()
-        return (*parts, tuple(one for one in others if one.consts or not _is_numbas(one)))
+        payload: Payload = cres._reduce()  # type: ignore[no-untyped-call]
+        return (*payload[:-1], tuple(one for one in payload[-1] if one.consts or not _is_numbas(one)))
 
-    def rebuild(self, target_context: BaseContext, payload: tuple[object, ...]) -> CompileResult:
+    def rebuild(self, target_context: CPUContext, payload: Payload) -> CompileResult:
         """Return the kernel that ``payload`` describes, as numba's ``CompileResult._reduce`` made it."""
         (name, _, codes), fndesc, environment, signature, objectmode, lifted, annotation, reload_init, others = payload
         for initialise in reload_init:
             initialise()
-        library = KernelLibrary.of(target_context.codegen(), name, *codes)
-        entry_point = target_context.get_executable(library, fndesc, environment)
+        library = KernelLibrary.of(target_context.codegen(), name, *codes)  # type: ignore[no-untyped-call]
+        entry_point = target_context.get_executable(library, fndesc, environment)  # type: ignore[no-untyped-call]
         for other in others:
             library.codegen.set_env(other.env_name, other)
         made: CompileResult = compile_result(  # type: ignore[no-untyped-call]
@@ -169,7 +185,7 @@ def kernel(
         if isinstance(made, Dispatcher):  # numba hands the function back as it is where NUMBA_DISABLE_JIT is set
             made._cache = KernelCache(made.py_func)  # type: ignore[attr-defined, no-untyped-call]
             # Extensions that other distributions bring to numba are looked for in all metadata; no kernel needs one.
-            made._compilation_chain_init_hook = _nothing  # type: ignore[method-assign]
+            made._compilation_chain_init_hook = _nothing  # type: ignore[attr-defined]
         return cast("F", made)
 
     return compiled
