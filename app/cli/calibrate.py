@@ -26,6 +26,7 @@ from app.cli.options import (
     TableFile,
     Windows,
     added,
+    collect_rarely,
     field_options,
     orbits_of_file,
     sources_of,
@@ -187,6 +188,7 @@ def command(
 
     Without reference columns in the telemetry (ref_bx.., ref_b, ref_eci_x.., x_km..) an orbit is needed.
     """
+    collect_rarely()
     from magcal_core.pipeline import calibrate
     from magcal_core.reference.columns import orbit_spans
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from app.cli.calibrate import Declared, Reading, read_all, telemetry_options
-from app.cli.options import INPUT_FILE
+from app.cli.options import INPUT_FILE, collect_rarely
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -46,6 +46,7 @@ def command(
 
     The clock of the telemetry is taken as it is: objects of one launch follow each other along one track.
     """
+    collect_rarely()
     from magcal_core.orbit.sources import parse_sources
     from magcal_core.reference.columns import orbit_spans
     from magcal_core.which_object import which_object

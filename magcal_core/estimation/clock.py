@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from magcal_core.calibration.diagnosis.explanation import Rows
-from magcal_core.calibration.diagnosis.search import FEWEST_ROWS, MOST_ROWS
 from magcal_core.calibration.diagnosis.wrong_input.suspicions import Suspicion
 from magcal_core.calibration.estimators.contract import Estimator, Fit, FitSettings
 from magcal_core.calibration.estimators.loss import LossFit, fit_under_loss
@@ -17,12 +15,14 @@ from magcal_core.calibration.estimators.registry import ESTIMATORS
 from magcal_core.calibration.estimators.robust_start import rows_looked_at
 from magcal_core.calibration.terms.clock import AUTO_AGE_DAYS, ClockFit, fit_with_clock
 from magcal_core.calibration.terms.locked_clock import LockedClock
-from magcal_core.calibration.terms.trimmed_clock import TrimmedClock, clock_rows, trimmed_clock
 from magcal_core.errors import IndexRangeError, ModelRangeError, OptionError, OrbitMissingError
 from magcal_core.estimation.estimate import Estimate, Prepared, still
 from magcal_core.estimation.session import LockedSession
 from magcal_core.observations import Observations
 from magcal_core.reference.referenced_samples import MovableObservations
+
+if TYPE_CHECKING:
+    from magcal_core.calibration.terms.trimmed_clock import TrimmedClock
 
 AUTO_LARGEST_S: Final = 120.0
 """Largest offset that is taken unasked, s: a larger one is suspected."""
@@ -91,6 +91,9 @@ def _beside_locked_errors(estimate: Estimate, near_s: float) -> Estimate:
 
 def _is_settled(observations: Observations) -> bool:
     """Return whether a sensor explains most rows and leaves noise of them, so that the others are bad."""
+    from magcal_core.calibration.diagnosis.explanation import Rows
+    from magcal_core.calibration.diagnosis.search import FEWEST_ROWS, MOST_ROWS
+
     used = np.flatnonzero(observations.weights > 0)
     if len(used) < FEWEST_ROWS:
         return False
@@ -190,6 +193,8 @@ def _with_plain_clock(estimate: Estimate) -> Estimate:
 
 def coarse_clock(movable: MovableObservations, observations: Observations) -> TrimmedClock:
     """Return the offset that least trimmed squares ask for, from some of the rows."""
+    from magcal_core.calibration.terms.trimmed_clock import clock_rows, trimmed_clock
+
     rows = np.flatnonzero(observations.weights > 0)
     rows = rows[clock_rows(len(rows))]
     t_utc, q = movable.t_utc[rows], None

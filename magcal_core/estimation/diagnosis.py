@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from magcal_core.calibration.diagnosis.cause import Diagnosis
-from magcal_core.calibration.diagnosis.search import WORTH_A_LOOK, Circumstances, diagnosis_of
 from magcal_core.calibration.diagnosis.wrong_input.attitude import DOUBTED_RATIO
 from magcal_core.calibration.diagnosis.wrong_input.suspicions import suspicions
+from magcal_core.calibration.estimators.loss import WORTH_A_LOOK
 from magcal_core.calibration.reasons import Reason, Verdict
 from magcal_core.data_quality import DataQuality
 from magcal_core.errors import EstimationError, FrameError, MagcalError, NotObservableError, WrongInputError
@@ -20,6 +19,9 @@ from magcal_core.estimation.estimate import Estimate
 from magcal_core.estimation.judgement import Judged
 from magcal_core.orbit import Orbit
 from magcal_core.reference.referenced_samples import Referenced
+
+if TYPE_CHECKING:
+    from magcal_core.calibration.diagnosis.cause import Diagnosis
 
 LONG_OFFSET_S: Final = 60.0
 """Offset, s, from which one that was taken unasked is held against other clocks: a longer one is more than a drift."""
@@ -100,6 +102,8 @@ def refused(error: MagcalError, referenced: Referenced, candidates: Sequence[Orb
 
 def _searched(referenced: Referenced, candidates: Sequence[Orbit]) -> Diagnosis:
     """Return what is wrong with the samples, by the orbit that most of them use and those of other objects."""
+    from magcal_core.calibration.diagnosis.search import Circumstances, diagnosis_of
+
     orbits, used = referenced.orbits, referenced.report.orbits
     chosen = max(used, key=lambda one: int(str(one["samples"])), default=None)
     own = None if chosen is None or not referenced.has_orbit else orbits[int(str(chosen["index"]))]

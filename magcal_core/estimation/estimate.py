@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,6 @@ from magcal_core.calibration.terms.locked_clock import LockedClock
 from magcal_core.calibration.terms.odd_light import OddLight
 from magcal_core.calibration.terms.regressor_candidates import RegressorCandidate, expanded
 from magcal_core.calibration.terms.regressor_selection import Ablation
-from magcal_core.calibration.terms.trimmed_clock import TrimmedClock
 from magcal_core.calibration.uncertainty.consider_errors import ReferenceShift
 from magcal_core.calibration.uncertainty.honest_covariance import HonestCovariance
 from magcal_core.errors import OptionError
@@ -27,6 +27,9 @@ from magcal_core.estimation.session import LockedSession
 from magcal_core.observations import Observations
 from magcal_core.options import CalibrationOptions
 from magcal_core.reference.referenced_samples import Referenced
+
+if TYPE_CHECKING:
+    from magcal_core.calibration.terms.trimmed_clock import TrimmedClock
 
 
 @dataclass(frozen=True, slots=True, eq=False)

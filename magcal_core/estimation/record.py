@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from magcal_core.calibration.diagnosis.cause import Diagnosis
 from magcal_core.calibration.diagnosis.device_steps import steps_of
 from magcal_core.calibration.diagnosis.mounting import mounting_of
 from magcal_core.calibration.diagnosis.residual_table import residual_table
@@ -18,7 +18,6 @@ from magcal_core.calibration.result import Calibration
 from magcal_core.calibration.terms.clock import AUTO_AGE_DAYS, ClockFit, with_rates
 from magcal_core.calibration.terms.locked_clock import LockedClock
 from magcal_core.calibration.terms.regressor_selection import untold_terms, usable_columns
-from magcal_core.calibration.uncertainty.bootstrap import bootstrap
 from magcal_core.calibration.verdict.assessment import Judgement, extras_of, matrix_standard_errors
 from magcal_core.errors import IndexRangeError, OrbitMissingError
 from magcal_core.estimation.averaging import said_of_averaging, untold_averaging
@@ -31,6 +30,9 @@ from magcal_core.orbit.earth.timescales import nanoseconds
 from magcal_core.reference.error_budget import error_budget
 from magcal_core.reference.referenced_samples import Referenced
 from magcal_core.sensor.regressors import is_of_scale
+
+if TYPE_CHECKING:
+    from magcal_core.calibration.diagnosis.cause import Diagnosis
 
 
 def calibration_of(
@@ -164,6 +166,8 @@ def _why_no_terms(estimate: Estimate) -> str:
 def _resampled(estimate: Estimate, judgement: Judgement) -> Mapping[str, object]:
     if not estimate.options.bootstrap:
         return {}
+    from magcal_core.calibration.uncertainty.bootstrap import bootstrap
+
     found = bootstrap(
         estimate.estimator,
         estimate.observations,

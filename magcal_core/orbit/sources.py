@@ -1,4 +1,7 @@
-"""Orbits from whatever they are written in: TLE, OMM, OEM, state vector; the form is found from the content."""
+"""Orbits from whatever they are written in: TLE, OMM, OEM, state vector; the form is found from the content.
+
+What reads a form is loaded when a text has it.
+"""
 
 from __future__ import annotations
 
@@ -7,23 +10,21 @@ import re
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
 from magcal_core.errors import EncodingError, Fault, OrbitFormatError, TleFormatError
 from magcal_core.orbit import Orbit
-from magcal_core.orbit.ephemeris.oem import parse_oem
 from magcal_core.orbit.messages.bulletin import tles_alone
 from magcal_core.orbit.messages.forms import form_of, refuse_binary, refuse_json_message, without_comments
 from magcal_core.orbit.messages.json_tle import mean_elements, tle_text
-from magcal_core.orbit.messages.omm import Omm, parse_omms
-from magcal_core.orbit.messages.opm import parse_opms
-from magcal_core.orbit.messages.sp3 import parse_sp3
-from magcal_core.orbit.messages.state import StateVector, parse_state, state_from_mapping
-from magcal_core.orbit.messages.stk import parse_stk
 from magcal_core.orbit.messages.tle import Tle, parse_tles
 from magcal_core.orbit.propagators.sgp4 import Sgp4Orbit
+
+if TYPE_CHECKING:
+    from magcal_core.orbit.messages.omm import Omm
+    from magcal_core.orbit.messages.state import StateVector
 
 Kind = Literal["tle", "omm", "oem", "state"]
 
@@ -142,10 +143,12 @@ def _of_json(text: str) -> list[OrbitSource]:
         raise OrbitFormatError("the orbit is not JSON", [Fault("orbit", str(error)[:200])]) from error
     refuse_json_message(content)
     rows = content if isinstance(content, list) else [content]
+    from magcal_core.orbit.messages.state import parse_state, state_from_mapping
+
     if rows and all(isinstance(row, dict) and "position_km" in row for row in rows):
         return [_of_state(state_from_mapping(row)) for row in rows]
     if records := mean_elements(content):
-        return [_of_mean_elements("omm", omm) for omm in parse_omms(json.dumps(records), "json")]
+        return _of_omms(json.dumps(records), "json")
     if tles := tle_text(content):
         return _of_tle(tles)
     if isinstance(content, dict):
@@ -158,7 +161,7 @@ def _of_xml(text: str) -> list[OrbitSource]:
         return _of_oem(text)
     if "<opm" in text[:4000].lower():
         return _of_opm(text)
-    return [_of_mean_elements("omm", omm) for omm in parse_omms(text, "xml")]
+    return _of_omms(text, "xml")
 
 
 def _of_tle(text: str) -> list[OrbitSource]:
@@ -184,11 +187,41 @@ def _is_prose(fault: Fault, lines: Sequence[str]) -> bool:
     return fault.why.startswith(_PROSE) and re.match(r"\s*[12] +\w{5}[UCS ]? ", line) is None
 
 
+def _of_omms(text: str, form: str) -> list[OrbitSource]:
+    from magcal_core.orbit.messages.omm import parse_omms
+
+    return [_of_mean_elements("omm", omm) for omm in parse_omms(text, form)]
+
+
+def _of_csv(text: str) -> list[OrbitSource]:
+    return _of_omms(without_comments(text), "csv")
+
+
+def _of_kvn(text: str) -> list[OrbitSource]:
+    return _of_omms(text, "kvn")
+
+
+def _of_sp3(text: str) -> list[OrbitSource]:
+    from magcal_core.orbit.messages.sp3 import parse_sp3
+
+    return _of_oem(parse_sp3(without_comments(text)))
+
+
+def _of_stk(text: str) -> list[OrbitSource]:
+    from magcal_core.orbit.messages.stk import parse_stk
+
+    return _of_oem(parse_stk(text))
+
+
 def _of_opm(text: str) -> list[OrbitSource]:
+    from magcal_core.orbit.messages.opm import parse_opms
+
     return [replace(_of_state(state), name=name, cospar_id=cospar_id) for state, name, cospar_id in parse_opms(text)]
 
 
 def _of_oem(text: str) -> list[OrbitSource]:
+    from magcal_core.orbit.ephemeris.oem import parse_oem
+
     orbit = parse_oem(text)
     return [OrbitSource("oem", text, orbit.name, "", orbit.cospar_id, orbit.epoch_utc, orbit.until_utc, orbit)]
 
@@ -208,11 +241,11 @@ def _of_mean_elements(kind: Kind, elements: Tle | Omm) -> OrbitSource:
 _READERS: Final[Mapping[str, Callable[[str], list[OrbitSource]]]] = {
     "json": _of_json,
     "xml": _of_xml,
-    "csv": lambda text: [_of_mean_elements("omm", omm) for omm in parse_omms(without_comments(text), "csv")],
+    "csv": _of_csv,
     "tle": _of_tle,
-    "omm-kvn": lambda text: [_of_mean_elements("omm", omm) for omm in parse_omms(text, "kvn")],
+    "omm-kvn": _of_kvn,
     "oem-kvn": _of_oem,
     "opm-kvn": _of_opm,
-    "sp3": lambda text: _of_oem(parse_sp3(without_comments(text))),
-    "stk": lambda text: _of_oem(parse_stk(text)),
+    "sp3": _of_sp3,
+    "stk": _of_stk,
 }

@@ -27,7 +27,7 @@ from magcal_core.calibration.diagnosis.rows_and_axes import (
     constant_sensor,
     wrong_unit,
 )
-from magcal_core.calibration.estimators.loss import CLEAN_SHARE
+from magcal_core.calibration.estimators.loss import CLEAN_SHARE, WORTH_A_LOOK
 from magcal_core.calibration.estimators.robust_start import rows_looked_at
 from magcal_core.errors import MagcalError, OptionError
 from magcal_core.field import FieldModel
@@ -38,8 +38,6 @@ from magcal_core.samples import Samples
 MOST_ROWS: Final = 300
 FEWEST_ROWS: Final = 25
 """Rows below which ten unknowns explain anything."""
-WORTH_A_LOOK: Final = 0.005
-"""Scale, as a share of |B|, from which on something may be behind it."""
 _MOST_ROWS_GOOD: Final = 0.7
 """Share of the rows below which smooth residuals of the others say that the reference is wrong, not the rows."""
 _QUARTER_HOUR_S: Final = 900.0

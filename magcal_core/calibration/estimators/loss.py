@@ -17,6 +17,8 @@ from magcal_core.observations import Observations
 
 AUTO: Final = "auto"
 AUTO_LOSS: Final = "tukey"
+WORTH_A_LOOK: Final = 0.005
+"""Scale, as a share of |B|, from which on something may be behind it."""
 CLEAN_SHARE: Final = 0.01
 """Scale of the residuals, as a share of median |B|, below which a session may be clean."""
 CLEAN_REACH: Final = 6.0

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from magcal_core.arrays import Floats
 from magcal_core.calibration.estimators.scalar_kernel import accumulate_blocks, residuals
-from magcal_core.calibration.estimators.vector import axis_sums
 from magcal_core.numerics.regression import block_sums
 from magcal_core.observations import Observations
 from magcal_core.sensor.correction import readings_without
@@ -66,6 +65,8 @@ def vector_sums(
 
     Each axis counts by its own noise, as in the fit; here the mean of these weights is one.
     """
+    from magcal_core.calibration.estimators.vector import axis_sums
+
     matrix, b_nt = at.matrix, o.require_vector()
     k, rates = len(z.names), o.rate_base_nt_s
     m = 0 if rates is None else rates.shape[1]

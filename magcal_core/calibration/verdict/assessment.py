@@ -35,7 +35,6 @@ from magcal_core.calibration.uncertainty.consider_errors import ReferenceShift
 from magcal_core.calibration.uncertainty.cross_validation import held_out_residuals_nt, rms_nt
 from magcal_core.calibration.uncertainty.field_error import FieldError, field_error, field_error_of_matrix
 from magcal_core.calibration.uncertainty.honest_covariance import HonestCovariance, covered_s, honest_covariance
-from magcal_core.calibration.verdict.agreement import Agreement, agreement_with
 from magcal_core.calibration.verdict.verdict import DETERMINED, NOISE_ALONE, Evidence, Turn, judge
 from magcal_core.errors import NotObservableError
 from magcal_core.field.external_knowledge import Storm
@@ -49,6 +48,7 @@ from magcal_core.sensor.parameters import Parameters
 
 if TYPE_CHECKING:
     from magcal_core.calibration.sessions.monitoring import ActiveSet
+    from magcal_core.calibration.verdict.agreement import Agreement
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,6 +137,8 @@ def judgement_of(  # noqa: PLR0917
     mean_field_nt, active = float(observations.b_nt.mean()), circumstances.active
     agreement = None
     if active is not None:
+        from magcal_core.calibration.verdict.agreement import agreement_with
+
         agreement = agreement_with(
             active, fit.parameters, honest.covariance, mean_field_nt, is_vector=estimator.is_vector
         )

@@ -6,7 +6,7 @@ Every limit is explained, with the rate of wrong verdicts that it was set for, i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -14,8 +14,10 @@ from magcal_core.arrays import Floats
 from magcal_core.calibration.reasons import Reason, Verdict
 from magcal_core.calibration.residuals import ResidualStatistics
 from magcal_core.calibration.uncertainty.field_error import FieldError
-from magcal_core.calibration.verdict.agreement import Agreement
 from magcal_core.sensor.parameters import Parameters
+
+if TYPE_CHECKING:
+    from magcal_core.calibration.verdict.agreement import Agreement
 
 
 @dataclass(frozen=True, slots=True)

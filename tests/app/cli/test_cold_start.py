@@ -29,15 +29,27 @@ HEAVY = {
     "scipy.linalg", "scipy.special", "scipy.stats", "scipy.signal", "scipy.optimize", "pandas", "numpy.f2py",
     "pyarrow.parquet", "pyarrow.dataset", "pydantic", "fastapi", "sqlalchemy",
 }  # fmt: skip
-COMPILER = {"numba.np.arraymath", "numba.np.linalg", "numba.np.npyimpl", "numba.typed.typeddict", "numba.misc.cffiimpl"}
+COMPILER = {
+    "numba.np.arraymath", "numba.np.linalg", "numba.np.npyimpl", "numba.typed.typeddict", "numba.misc.cffiimpl",
+    "numba.np.arrayobj", "numba.cpython.charseq", "numba.cpython.randomimpl",
+}  # fmt: skip
 """Modules that numba compiles with: a kernel that is on the disk needs none of them."""
 UNASKED = {
     "magcal_core.calibration.sessions.trend",
     "magcal_core.calibration.sessions.monitoring",
     "magcal_core.calibration.diagnosis.gyro_mounting",
     "magcal_core.field.index_files.read",
+    "magcal_core.calibration.diagnosis.search",
+    "magcal_core.calibration.estimators.vector",
+    "magcal_core.calibration.estimators.hooke_jeeves",
+    "magcal_core.calibration.uncertainty.bootstrap",
+    "magcal_core.calibration.verdict.agreement",
+    "magcal_core.orbit.messages.oem",
+    "magcal_core.orbit.messages.omm",
+    "magcal_core.telemetry.ndjson",
+    "magcal_core.telemetry.parquet",
 }
-"""What a calibration without windows, a set in force, gyros or an index does not use."""
+"""What a sound calibration by default, of a CSV and a TLE, does not use."""
 
 
 def loaded(code: str, *arguments: str) -> set[str]:
