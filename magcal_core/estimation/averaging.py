@@ -22,6 +22,8 @@ from magcal_core.sensor.parameters import Parameters
 
 _MAX_TURN_RAD: Final = np.pi / 3.0
 """Largest turn of the field between two readings that tells how fast it turns in the sensor."""
+LONGEST_INTEGRATION_S: Final = 60.0
+"""Longest time that a reading may take, s: what options let through."""
 ENOUGH: Final = 5000
 """Steps that are looked at, evenly spaced."""
 _MOST_STEPS: Final = 0.5
@@ -179,23 +181,23 @@ def _bound(estimate: Estimate, averaging: Averaging) -> tuple[float | None, str]
         if len(speed):
             largest = float(np.max(1.0 - across_share(speed, averaging.integration_s)))
             return largest, "at most, by the gyros' largest rate"
-    speed_rad_s = _turn_of_readings(estimate)[0]
+    speed_rad_s = _turn_of_readings(estimate, MAX_STEP_S)[0]
     if not len(speed_rad_s):
         return None, "the readings are too far apart"
     return _rms(1.0 - across_share(speed_rad_s, averaging.integration_s)), "by the turn of the readings"
 
 
-def _turn_of_readings(estimate: Estimate) -> tuple[Floats, Floats]:
+def _turn_of_readings(estimate: Estimate, longest_s: float) -> tuple[Floats, Floats]:
     """Return how fast the field turns in the sensor from reading to reading, rad/s, and their steps, s, shape (m,).
 
-    Of steps that tell it, some `ENOUGH` of them; of none where these are not most.
+    Of steps of at most ``longest_s`` that tell it, some `ENOUGH` of them; of none where these are not most.
     """
     observations = estimate.observations
     first = np.arange(0, len(observations) - 1, max(1, len(observations) // ENOUGH))
     step_s = observations.t_s[first + 1] - observations.t_s[first]
     here, there = (corrected_nt(observations.take(rows), estimate.fit.parameters) for rows in (first, first + 1))
     turn_rad = np.arctan2(lengths(np.cross(here, there)), np.sum(here * there, axis=1))
-    is_near = (step_s > 0.0) & (step_s <= MAX_STEP_S)
+    is_near = (step_s > 0.0) & (step_s <= longest_s)
     is_told = is_near & (turn_rad <= _MAX_TURN_RAD)
     if not np.count_nonzero(is_told) > _MOST_STEPS * len(step_s):
         return np.zeros(0), np.zeros(0)
@@ -210,7 +212,7 @@ def untold_averaging(estimate: Estimate, scale_errors: Floats) -> str | None:
     """
     if estimate.options.integration_s is not None:
         return None
-    speed_rad_s, steps_s = _turn_of_readings(estimate)
+    speed_rad_s, steps_s = _turn_of_readings(estimate, LONGEST_INTEGRATION_S)
     if not len(speed_rad_s):
         return None
     step_s = float(np.median(steps_s))

@@ -80,6 +80,11 @@ def test_averaging_makes_scale_factors_small_and_the_integration_time_mends_it(m
     assert not any(one["source"] == "sensor_averaging" for one in known.to_dict()["error_budget"])
 
 
+def slow_spin() -> Samples:
+    """A tumble of 1.4 deg/s, a momentary reading every 20 s: nobody can see that they are momentary."""
+    return simulate(orbit(), SENSOR, START, 6000.0, 20.0, rate_deg_s=(0.8, -0.6, 1.0), seed=3).samples
+
+
 def test_averaging_that_nobody_spoke_of_is_told():
     """The field turns by up to 25 deg a second: the share told is what the scale factors lack, or a little more.
 
@@ -93,6 +98,15 @@ def test_averaging_that_nobody_spoke_of_is_told():
     for time_s in (0.0, 1.0):
         said = calibrate(spinning(), [orbit()], method="vector", integration_s=time_s, **PLAIN).warnings
         assert not [text for text in said if text.startswith("averaging_not_known")]
+    sparse = spinning().take(np.arange(0, len(spinning()), 2))
+    (told,) = [
+        text for text in calibrate(sparse, [orbit()], **PLAIN).warnings if text.startswith("averaging_not_known")
+    ]
+    assert "over these 2 s" in told
+    (told,) = [
+        text for text in calibrate(slow_spin(), [orbit()], **PLAIN).warnings if text.startswith("averaging_not_known")
+    ]
+    assert "over these 20 s" in told
     slow = simulate(orbit(), SENSOR, START, 6000.0, 10.0, rate_deg_s=(0.05, -0.03, 0.06), seed=3).samples
     said = calibrate(slow, [orbit()], method="vector", **PLAIN).warnings
     assert not [text for text in said if text.startswith("averaging_not_known")]
