@@ -157,7 +157,10 @@ def bias_steps(moments: KeptMoments, *, has_drift: bool = False) -> BiasSteps:
     known: list[tuple[int, float, tuple[int, int]]] = []
     share, statistic = 0.0, 0.0
     while True:
-        found = _search(blocks, processes, [block for block, _, _ in known])
+        beside = [block for block, _, _ in known]
+        found = _search(blocks, processes, beside)
+        if known and found.statistic > LIMIT:
+            found = _search_apart(blocks, beside)
         share = found.share if not known else share
         statistic = max(found.statistic, 0.0)
         if statistic <= LIMIT:
@@ -211,6 +214,21 @@ def _search(blocks: Blocks, processes: Sequence[Process], known: Sequence[int]) 
     return _Found(int(places[top]), 2.0 * float(highest[top] - best), (int(near[0]), int(near[-1])), share_at[1])
 
 
+def _search_apart(blocks: Blocks, known: Sequence[int]) -> _Found:
+    """Return the best place of a step beside those that are ``known``, without the two blocks about each of these.
+
+    A step within a block leaves that block with a mean that is neither the bias before nor the one after it, which in
+    quiet readings looks like a second step close by.
+    """
+    rest = blocks.without(_about(known))
+    return _search(rest, [Process.of(rest, model) for model in MODELS], known)
+
+
+def _about(places: Sequence[int]) -> list[int]:
+    """Return the two blocks about each of ``places``."""
+    return [block for place in places for block in (place - 1, place)]
+
+
 def _wanders(blocks: Blocks) -> bool:
     """Return whether a wandering bias explains the session better than noise alone, seen in few blocks.
 
@@ -246,7 +264,7 @@ def step_sizes(moments: KeptMoments, blocks: Blocks, places: Sequence[int]) -> l
     The two blocks about each step are left out: when in them it happened is not known. Averaged over the noise models
     by likelihood, the spread between them in the covariance.
     """
-    rest = blocks.without([block for place in places for block in (place - 1, place)])
+    rest = blocks.without(_about(places))
     found = [solved(rest, Process.of(rest, model), places) for model in MODELS]
     weights = np.exp(np.array([one.log_likelihood for one in found]) - max(one.log_likelihood for one in found))
     weights /= weights.sum()

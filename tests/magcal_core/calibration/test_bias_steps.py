@@ -62,6 +62,24 @@ def test_a_worked_case_names_the_steps_that_there_are(cases, name):
     assert found["statistic"] == pytest.approx(case["answer"]["statistic_of_next"], rel=0.05)
 
 
+@pytest.mark.parametrize(("seed", "noise_nt"), [(2, 15.0), (3, 30.0), (4, 15.0), (6, 30.0)])
+def test_one_step_within_a_block_of_quiet_readings_is_one_step(seed, noise_nt):
+    """The mean of the block in which it happened looks like a step of its own, a few blocks away."""
+    share = 0.3 + 0.05 * seed
+    moved = step_nt(session(seed), share, (370.0, -265.0, 210.0))
+    (found,) = mc.bias_steps(moments_of(session(seed, moved, noise_nt=noise_nt))).items
+    assert abs(found.time - time_of(session(seed), share)) < np.timedelta64(200, "s")
+    assert np.all(np.abs(found.change_nt - (370.0, -265.0, 210.0)) < 4.5 * found.standard_errors_nt)
+
+
+def test_two_steps_of_quiet_readings_are_two():
+    moved = step_nt(session(4), 0.33, (200.0, -140.0, 90.0)) + step_nt(session(4), 0.61, (-150.0, 160.0, 120.0))
+    found = mc.bias_steps(moments_of(session(4, moved, noise_nt=15.0))).items
+    assert len(found) == 2
+    for one, share in zip(found, (0.33, 0.61), strict=True):
+        assert abs(one.time - time_of(session(4), share)) < np.timedelta64(200, "s")
+
+
 def test_a_step_weakens_the_verdict_and_its_fit_has_the_bias_after_it(cases):
     case, samples, named = cases["session-1-step"]
     assert named.verdict.grade == "weak"
