@@ -38,7 +38,7 @@ def fleet_of_two(api: httpx2.Client, names: Iterator[str]) -> tuple[str, str]:
 
 def known(database: Database, fleet: Fleet) -> dict[tuple[str, str], object]:
     with database.read() as session:
-        found = [one.situation for one in fleet.standings(session, SYSTEM)]
+        found = [one.situation for one in fleet.view(session, SYSTEM).standings]
     return {(one.satellite_id, one.magnetometer_id): one for one in found}
 
 
