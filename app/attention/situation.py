@@ -8,13 +8,14 @@ from datetime import datetime
 from functools import cache
 from typing import Any, Final, TypeVar, cast
 
-from sqlalchemy import BindParameter, ColumnElement, Row, Select, and_, bindparam, func, select
+from sqlalchemy import BindParameter, ColumnElement, Row, Select, and_, bindparam, func, literal_column, select
 from sqlalchemy.orm import InstrumentedAttribute, Session, aliased, join, outerjoin
 
 from app.aboard.repository import NotAboard, not_aboard
 from app.attention.tables import SetLife
 from app.jobs.tables import Job, JobSession
 from app.orbits.tables import OrbitRow
+from app.outbox.events import EventType
 from app.parameter_sets.tables import Activation, ParameterSet, ParameterSetSession
 from app.satellites.tables import Magnetometer, Satellite
 from app.sessions.tables import SessionMonitoring, TelemetrySession
@@ -185,6 +186,8 @@ class _Reach:
         return self.session.execute(statement(bool(self._named)), self._named).all()
 
 
+ACTIVE: Final[ColumnElement[str]] = literal_column("'active'")
+"""Not a parameter: SQLite would not use the index of the sets in force."""
 NAMED: Final[BindParameter[Any]] = bindparam("satellites", expanding=True)
 
 
@@ -235,7 +238,7 @@ def _active_sets(is_part: bool) -> Select[*tuple[Any, ...]]:
     return (
         select(ParameterSet.satellite_id, ParameterSet.magnetometer_id, *SET_COLUMNS, Activation.begun_at)
         .outerjoin(Activation, begun)
-        .where(ParameterSet.status == "active", *_of(ParameterSet.satellite_id, is_part))
+        .where(ParameterSet.status == ACTIVE, *_of(ParameterSet.satellite_id, is_part))
     )
 
 
@@ -397,13 +400,17 @@ def newest_change(session: Session) -> Change:
 def changed_satellites(session: Session, since: Change) -> set[str] | None:
     """Return the satellites of what was written since; None where that is more than is worth telling apart.
 
+    That something needs attention, or no longer does, follows from what is known here and changes none of it.
     Ids count as rows are written, not as they are committed: a little of what was before is looked at again.
     """
     from app.access.audit_trail import AuditEvent
     from app.outbox.tables import OutboxEntry
 
     earlier = id_before(since.audit_id, LATE_MS)
-    of_events = select(OutboxEntry.satellite_id).where(OutboxEntry.id > since.event_id - LATE_EVENTS)
+    told = (str(EventType.ATTENTION_RAISED), str(EventType.ATTENTION_CLEARED))
+    of_events = select(OutboxEntry.satellite_id).where(
+        OutboxEntry.id > since.event_id - LATE_EVENTS, OutboxEntry.type.not_in(told)
+    )
     of_audit = select(AuditEvent.satellite_id).where(AuditEvent.id > earlier)
     found: set[str] = set()
     for statement in (of_events, of_audit):
