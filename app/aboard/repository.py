@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from decimal import Decimal
 from typing import Final
@@ -123,10 +123,16 @@ class AboardRepository:
         return _read(report)
 
 
-def not_aboard(session: Session) -> list[NotAboard]:
-    """Return the sets in force that the last report on their magnetometer does not confirm to be aboard."""
+def not_aboard(session: Session, satellites: Sequence[str] | None = None) -> list[NotAboard]:
+    """Return the sets in force that the last report on their magnetometer does not confirm to be aboard.
+
+    ``satellites``: of these alone.
+    """
+    of = [] if satellites is None else [ParameterSet.satellite_id.in_(satellites)]
+    of_reports = [] if satellites is None else [AboardReport.satellite_id.in_(satellites)]
     newest = (
         select(AboardReport.satellite_id, AboardReport.magnetometer_id, func.max(AboardReport.id).label("id"))
+        .where(*of_reports)
         .group_by(AboardReport.satellite_id, AboardReport.magnetometer_id)
         .subquery()
     )
@@ -134,17 +140,20 @@ def not_aboard(session: Session) -> list[NotAboard]:
         newest.c.magnetometer_id == ParameterSet.magnetometer_id
     )
     rows = session.execute(
-        select(ParameterSet.id, ParameterSet.satellite_id, ParameterSet.magnetometer_id, AboardReport)
+        select(
+            *(ParameterSet.id, ParameterSet.satellite_id, ParameterSet.magnetometer_id),
+            *(AboardReport.parameter_set_id, AboardReport.state),
+        )
         .outerjoin(newest, place)
         .outerjoin(AboardReport, AboardReport.id == newest.c.id)
-        .where(ParameterSet.status == "active")
+        .where(ParameterSet.status == "active", *of)
         .order_by(ParameterSet.satellite_id, ParameterSet.magnetometer_id)
     )
     found: list[NotAboard] = []
-    for set_id, satellite_id, magnetometer_id, last in rows:
-        is_own = last is not None and last.parameter_set_id == set_id
-        if not (is_own and last.state == "confirmed"):
-            found.append(NotAboard(set_id, satellite_id, magnetometer_id, last.state if is_own else None))
+    for set_id, satellite_id, magnetometer_id, reported_id, state in rows:
+        is_own = reported_id == set_id
+        if not (is_own and state == "confirmed"):
+            found.append(NotAboard(set_id, satellite_id, magnetometer_id, state if is_own else None))
     return found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from typing import Any, Final
@@ -12,7 +13,7 @@ from sqlalchemy.orm import Session
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
 from app.access.key_tables import ApiKey
-from app.attention.entries import Entry, Fleet, Standing
+from app.attention.entries import Entry, Fleet, Standing, View
 from app.attention.schemas import (
     AcknowledgeBody,
     AcknowledgementRead,
@@ -46,29 +47,30 @@ class AttentionRepository:
         self.caller = caller
         self._fleet = fleet
 
-    def standings(self) -> tuple[Sequence[Standing], Acknowledged]:
-        """Return the standing of every magnetometer, and the acknowledgements that hold."""
-        return self._fleet.standings(self.session, self.caller), self._acknowledged(utc_now())
+    def known(self) -> tuple[View, Acknowledged]:
+        """Return what is known of every magnetometer, and the acknowledgements that hold of what there is."""
+        view = self._fleet.view(self.session, self.caller)
+        rows = self._acknowledged(utc_now())
+        entries = [entry for entry in view.entries if entry.id in rows] if rows else []
+        return view, {entry.id: rows[entry.id] for entry in entries if _holds(rows[entry.id], entry)}
 
     def counts(self) -> AttentionCounts:
         """Return how many entries there are of each severity, and how many are acknowledged."""
-        standings, known = self.standings()
-        every = [entry for one in standings for entry in one.entries]
-        return counted(every, {entry.id for entry in every if holds(known, entry)})
+        view, known = self.known()
+        return _counted(view.entries, known)
 
     def page(self, query: AttentionQuery) -> AttentionPage | AttentionShortPage:
         """Return a part of the entries, those that are acknowledged behind the others."""
-        standings, known = self.standings()
-        every = [entry for one in standings for entry in one.entries]
-        seen = {entry.id for entry in every if holds(known, entry)}
-        held = every
+        view, known = self.known()
+        held = view.entries
         if query.q is not None:
-            held = [entry for one in standings for entry in one.entries if _has(one, entry, query.q)]
-        fitting = _ordered([one for one in held if _fits(one, query, one.id in seen)], query.sort, seen)
+            named = {entry.id for one in view.standings for entry in one.entries if _has(one, entry, query.q)}
+            held = [entry for entry in held if entry.id in named]
+        fitting = _ordered(_fitting(held, query, known), query.sort, known)
         begin = _begin(fitting, query.cursor)
         shown = fitting[begin : begin + query.limit]
         after = shown[-1].id if begin + query.limit < len(fitting) else None
-        total, counts = len(fitting) if query.total else None, counted(every, seen)
+        total, counts = len(fitting) if query.total else None, _counted(view.entries, known)
         items = self._read(shown, known)
         if query.view == "full":
             return AttentionPage(items=items, next=after, total=total, counts=counts)
@@ -92,10 +94,9 @@ class AttentionRepository:
         return self._read([entry], {entry.id: row})[0]
 
     def _entry(self, entry_id: str) -> Entry:
-        for one in self._fleet.standings(self.session, self.caller):
-            for entry in one.entries:
-                if entry.id == entry_id:
-                    return entry
+        for entry in self._fleet.view(self.session, self.caller).entries:
+            if entry.id == entry_id:
+                return entry
         raise NotFoundError("no such entry: what it was about may be over")
 
     def _acknowledged(self, now: datetime) -> Acknowledged:
@@ -105,7 +106,7 @@ class AttentionRepository:
 
     def _read(self, entries: Sequence[Entry], known: Acknowledged) -> list[AttentionRead]:
         reasons = self._reasons([one for one in entries if one.code in WITH_REASON])
-        seen = {one.id: known[one.id] for one in entries if holds(known, one)}
+        seen = {one.id: known[one.id] for one in entries if one.id in known}
         authors = self._authors({row.by for row in seen.values()} - {None})
         return [_read(one, _acknowledgement(seen.get(one.id), authors), reasons) for one in entries]
 
@@ -126,31 +127,36 @@ class AttentionRepository:
         return {set_id: str(verdict["reasons"][0]) for set_id, verdict in rows if verdict and verdict["reasons"]}
 
 
-def holds(known: Acknowledged, entry: Entry) -> bool:
-    """Return whether somebody has acknowledged the entry as it is: of the same matter, and no worse since."""
-    row = known.get(entry.id)
-    if row is None or row.about != entry.finding.about[:200]:
+def _holds(row: AttentionAcknowledgement, entry: Entry) -> bool:
+    """Return whether ``row`` acknowledges the entry as it is: of the same matter, and no worse since."""
+    if row.about != entry.finding.about[:200]:
         return False
     return row.severity == "act" or entry.finding.severity == "watch"
 
 
-def counted(entries: Sequence[Entry], seen: set[str]) -> AttentionCounts:
-    """Return how many entries there are of each severity, those that are ``seen`` apart."""
-    act = sum(one.finding.severity == "act" and one.id not in seen for one in entries)
-    return AttentionCounts(act=act, watch=len(entries) - len(seen) - act, acknowledged=len(seen))
+def _counted(entries: Sequence[Entry], known: Acknowledged) -> AttentionCounts:
+    """Return how many entries, the worst first, there are of each severity, those that are acknowledged apart."""
+    acts = bisect_right(entries, 0, key=lambda one: one.rank[0])
+    seen_acts = sum(entry.id in known for entry in entries[:acts]) if known else 0
+    left = len(entries) - len(known)
+    return AttentionCounts(act=acts - seen_acts, watch=left - (acts - seen_acts), acknowledged=len(known))
 
 
-def _fits(entry: Entry, query: AttentionQuery, is_seen: bool) -> bool:
-    finding = entry.finding
-    asked = (
-        (query.severity, finding.severity),
-        (query.code, entry.code),
-        (query.satellite, entry.satellite_id),
-        (query.magnetometer, entry.magnetometer_id),
-        (query.acknowledged, is_seen),
-        (query.session, finding.links.get("session_id")),
-    )
-    return all(wanted is None or wanted == is_so for wanted, is_so in asked)
+def _fitting(entries: Sequence[Entry], query: AttentionQuery, known: Acknowledged) -> Sequence[Entry]:
+    """Return those of ``entries`` that ``query`` asks for, in their order."""
+    tests: list[tuple[Callable[[Entry], object], object]] = [
+        (read, wanted)
+        for read, wanted in (
+            (lambda one: one.finding.severity, query.severity),
+            (lambda one: one.code, query.code),
+            (lambda one: one.satellite_id, query.satellite),
+            (lambda one: one.magnetometer_id, query.magnetometer),
+            (lambda one: one.id in known, query.acknowledged),
+            (lambda one: one.finding.links.get("session_id"), query.session),
+        )
+        if wanted is not None
+    ]
+    return [one for one in entries if all(read(one) == wanted for read, wanted in tests)] if tests else entries
 
 
 def _has(standing: Standing, entry: Entry, q: str) -> bool:
@@ -166,10 +172,11 @@ ORDERS: Final[Mapping[str, Callable[[Entry], tuple[object, ...]]]] = {
 }
 
 
-def _ordered(entries: Sequence[Entry], sort: str, seen: set[str]) -> list[Entry]:
-    """Return ``entries`` in the order ``sort``, those that are ``seen`` behind the others."""
-    found = sorted(entries, key=ORDERS[sort.removeprefix("-")], reverse=sort.startswith("-"))
-    return sorted(found, key=lambda one: one.id in seen)
+def _ordered(entries: Sequence[Entry], sort: str, known: Acknowledged) -> Sequence[Entry]:
+    """Return ``entries``, which are in the order ``worst``, in the order ``sort``, those acknowledged at the end."""
+    if sort != "worst":
+        entries = sorted(entries, key=ORDERS[sort.removeprefix("-")], reverse=sort.startswith("-"))
+    return sorted(entries, key=lambda one: one.id in known) if known else entries
 
 
 def _begin(entries: Sequence[Entry], cursor: str | None) -> int:

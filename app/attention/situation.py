@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from typing import Any, Final
+from functools import cache
+from typing import Any, Final, TypeVar, cast
 
-from sqlalchemy import ColumnElement, Select, and_, func, select
+from sqlalchemy import BindParameter, ColumnElement, Row, Select, and_, bindparam, func, literal_column, select
 from sqlalchemy.orm import InstrumentedAttribute, Session, aliased, join, outerjoin
 
 from app.aboard.repository import NotAboard, not_aboard
 from app.attention.tables import SetLife
 from app.jobs.tables import Job, JobSession
 from app.orbits.tables import OrbitRow
+from app.outbox.events import EventType
 from app.parameter_sets.tables import Activation, ParameterSet, ParameterSetSession
 from app.satellites.tables import Magnetometer, Satellite
 from app.sessions.tables import SessionMonitoring, TelemetrySession
@@ -104,6 +106,9 @@ class JobFacts:
     session_ids: tuple[str, ...] = ()
 
 
+Linked = TypeVar("Linked", SetFacts, JobFacts)
+
+
 @dataclass(frozen=True, slots=True)
 class LifeFacts:
     """Until when a set in force is good by the trend of its magnetometer's sets; None where that is not told."""
@@ -152,49 +157,54 @@ class Situation:
 
 def situations(session: Session, satellites: Sequence[str] | None = None) -> list[Situation]:
     """Return the situation of every magnetometer, or of those of ``satellites``, by satellite and magnetometer."""
-    of = _reach(satellites)
-    active, newest = _active(session, of), _newest_sets(session, of)
-    last, received, orbits, jobs = (
-        _sessions(session, of),
-        _received(session, of),
-        _orbits(session, of),
-        _jobs(session, of),
-    )
-    aboard = {(one.satellite_id, one.magnetometer_id): one for one in not_aboard(session)} if active else {}
-    lives = _lives(session, of)
-    rows = session.execute(
-        select(Magnetometer, Satellite).join(Satellite, Satellite.id == Magnetometer.satellite_id)
-        .where(*of(Magnetometer.satellite_id)).order_by(Magnetometer.satellite_id, Magnetometer.id)
-    )  # fmt: skip
+    of = _Reach(session, satellites)
+    active, newest = _active(of), _newest_sets(of)
+    last, received, orbits, jobs = _sessions(of), _received(of), _orbits(of), _jobs(of)
+    aboard = {(one.satellite_id, one.magnetometer_id): one for one in not_aboard(session, satellites)} if active else {}
+    lives, sensors = _lives(of), of.rows(_sensors)
     return [
         Situation(
-            satellite.id, satellite.name, satellite.norad_id, sensor.id, sensor.created_at, sensor.policy,
-            satellite.data_stale_days or DATA_STALE_DAYS,
-            satellite.orbit_stale_days or ORBIT_STALE_DAYS,
-            satellite.station_silent_hours or STATION_SILENT_HOURS,
-            active.get(place), newest.get(place), last.get(place), received.get(place), orbits.get(satellite.id),
+            satellite_id, name, norad_id, sensor_id, created_at, policy,
+            data_days or DATA_STALE_DAYS, orbit_days or ORBIT_STALE_DAYS, silent_hours or STATION_SILENT_HOURS,
+            active.get(place), newest.get(place), last.get(place), received.get(place), orbits.get(satellite_id),
             jobs.get(place), aboard.get(place), lives.get(place),
         )
-        for sensor, satellite in rows
-        for place in [(satellite.id, sensor.id)]
+        for satellite_id, name, norad_id, sensor_id, created_at, policy, data_days, orbit_days, silent_hours in sensors
+        for place in [(satellite_id, sensor_id)]
     ]  # fmt: skip
 
 
 class _Reach:
-    def __init__(self, satellites: Sequence[str] | None) -> None:
-        self._satellites = satellites
+    """The satellites that are asked for, all where there are none named, and how they are asked for."""
 
-    def __call__(self, column: InstrumentedAttribute[str]) -> list[ColumnElement[bool]]:
-        return [] if self._satellites is None else [column.in_(self._satellites)]
+    def __init__(self, session: Session, satellites: Sequence[str] | None) -> None:
+        self.session = session
+        self._named = {} if satellites is None else {NAMED.key: satellites}
+
+    def rows(self, statement: Callable[[bool], Select[*tuple[Any, ...]]]) -> Sequence[Row[*tuple[Any, ...]]]:
+        """Return the rows of ``statement``, which is made once for all satellites and once for those that are named."""
+        return self.session.execute(statement(bool(self._named)), self._named).all()
 
 
-def _reach(satellites: Sequence[str] | None) -> _Reach:
-    return _Reach(satellites)
+ACTIVE: Final[ColumnElement[str]] = literal_column("'active'")
+"""Not a parameter: SQLite would not use the index of the sets in force."""
+NAMED: Final[BindParameter[Any]] = bindparam("satellites", expanding=True)
+
+
+def _of(column: InstrumentedAttribute[str], is_part: bool) -> list[ColumnElement[bool]]:
+    return [column.in_(NAMED)] if is_part else []
+
+
+@cache
+def _sensors(is_part: bool) -> Select[*tuple[Any, ...]]:
+    joined = select(*SENSOR_COLUMNS).join(Satellite, Satellite.id == Magnetometer.satellite_id)
+    own = joined.where(*_of(Magnetometer.satellite_id, is_part))
+    return own.order_by(Magnetometer.satellite_id, Magnetometer.id)
 
 
 def _newest(
-    table: Any, columns: Sequence[Any], of: _Reach, *conditions: Callable[[Any], ColumnElement[bool]], by: str = "id"
-) -> Select[Any]:
+    table: Any, columns: Sequence[Any], is_part: bool, *conditions: Callable[[Any], ColumnElement[bool]], by: str = "id"
+) -> Select[*tuple[Any, ...]]:
     """Return the statement of ``columns`` of each magnetometer's newest row of ``table``: one look into an index each.
 
     Beside ``table`` itself, columns of what a session says of the set in force are joined where it is the table.
@@ -208,74 +218,95 @@ def _newest(
     if table is TelemetrySession:
         joined = outerjoin(joined, SessionMonitoring, SessionMonitoring.session_id == table.id)
     chosen = select(Magnetometer.satellite_id, Magnetometer.id, *columns).select_from(joined)
-    return chosen.where(*of(Magnetometer.satellite_id))
+    return chosen.where(*_of(Magnetometer.satellite_id, is_part))
 
 
+SENSOR_COLUMNS: Final = (
+    Satellite.id, Satellite.name, Satellite.norad_id, Magnetometer.id, Magnetometer.created_at, Magnetometer.policy,
+    Satellite.data_stale_days, Satellite.orbit_stale_days, Satellite.station_silent_hours,
+)  # fmt: skip
+"""Not whole rows: making objects of these takes several times as long as reading them."""
 SET_COLUMNS: Final = (
     ParameterSet.id, ParameterSet.grade, ParameterSet.status, ParameterSet.method, ParameterSet.job_id,
     ParameterSet.data_until, ParameterSet.created_at,
 )  # fmt: skip
 
 
-def _active(session: Session, of: _Reach) -> Facts:
-    statement = (
+@cache
+def _active_sets(is_part: bool) -> Select[*tuple[Any, ...]]:
+    begun = and_(Activation.parameter_set_id == ParameterSet.id, Activation.ended_at.is_(None))
+    return (
         select(ParameterSet.satellite_id, ParameterSet.magnetometer_id, *SET_COLUMNS, Activation.begun_at)
-        .outerjoin(Activation, and_(Activation.parameter_set_id == ParameterSet.id, Activation.ended_at.is_(None)))
-        .where(ParameterSet.status == "active", *of(ParameterSet.satellite_id))
+        .outerjoin(Activation, begun)
+        .where(ParameterSet.status == ACTIVE, *_of(ParameterSet.satellite_id, is_part))
     )
-    return {(row[0], row[1]): SetFacts(*row[2:]) for row in session.execute(statement)}
 
 
-def _newest_sets(session: Session, of: _Reach) -> Facts:
-    rows = session.execute(_newest(ParameterSet, SET_COLUMNS, of)).all()
-    links = _links(session, ParameterSetSession.parameter_set_id, ParameterSetSession.session_id,
+def _active(of: _Reach) -> Facts:
+    return {(row[0], row[1]): SetFacts(*row[2:]) for row in of.rows(_active_sets)}
+
+
+@cache
+def _last_sets(is_part: bool) -> Select[*tuple[Any, ...]]:
+    return _newest(ParameterSet, SET_COLUMNS, is_part)
+
+
+def _newest_sets(of: _Reach) -> Facts:
+    rows = of.rows(_last_sets)
+    links = _links(of.session, ParameterSetSession.parameter_set_id, ParameterSetSession.session_id,
                    [row[2] for row in rows if row[4] == "candidate"])  # fmt: skip
-    return {(row[0], row[1]): replace(SetFacts(*row[2:]), session_ids=links.get(row[2], ())) for row in rows}
+    return {(row[0], row[1]): _linked(SetFacts(*row[2:]), links) for row in rows}
 
 
-def _sessions(session: Session, of: _Reach) -> Facts:
-    row_of = TelemetrySession
+@cache
+def _last_sessions(is_part: bool) -> Select[*tuple[Any, ...]]:
+    row_of, said = TelemetrySession, cast(Any, SessionMonitoring.record)
     columns = (
         row_of.id, row_of.data_from, row_of.data_until, row_of.created_at, row_of.columns, row_of.state,
         row_of.raw_removed_at, SessionMonitoring.parameter_set_id, SessionMonitoring.grade,
-        SessionMonitoring.residual_rms_nt, SessionMonitoring.residual_ratio, SessionMonitoring.record,
+        SessionMonitoring.residual_rms_nt, SessionMonitoring.residual_ratio, said["reasons"],
     )  # fmt: skip
-    statement = _newest(row_of, columns, of, lambda other: other.data_until.is_not(None), by="data_until")
-    return {(row[0], row[1]): _session_facts(row) for row in session.execute(statement)}
+    return _newest(row_of, columns, is_part, lambda other: other.data_until.is_not(None), by="data_until")
+
+
+def _sessions(of: _Reach) -> Facts:
+    return {(row[0], row[1]): _session_facts(row) for row in of.rows(_last_sessions)}
 
 
 def _session_facts(row: Sequence[Any]) -> SessionFacts:
-    _, _, session_id, begin, end, created, columns, state, removed, set_id, grade, rms_nt, ratio, record = row
-    reasons = record.get("reasons", []) if isinstance(record, dict) else []
+    _, _, session_id, begin, end, created, columns, state, removed, set_id, grade, rms_nt, ratio, reasons = row
     is_usable = state == "closed" and removed is None
     needs_orbit = not POSITIONED & set(columns)
     return SessionFacts(
-        session_id, begin, end, created, needs_orbit, is_usable, set_id, grade, rms_nt, ratio, tuple(reasons)
+        session_id, begin, end, created, needs_orbit, is_usable, set_id, grade, rms_nt, ratio, tuple(reasons or ())
     )
 
 
-def _received(session: Session, of: _Reach) -> dict[Place, datetime]:
-    statement = _newest(TelemetrySession, (TelemetrySession.created_at,), of)
-    return {(row[0], row[1]): row[2] for row in session.execute(statement)}
+@cache
+def _last_received(is_part: bool) -> Select[*tuple[Any, ...]]:
+    return _newest(TelemetrySession, (TelemetrySession.created_at,), is_part)
 
 
-def _orbits(session: Session, of: _Reach) -> dict[str, OrbitFacts]:
-    other = aliased(OrbitRow)
+def _received(of: _Reach) -> dict[Place, datetime]:
+    return {(row[0], row[1]): row[2] for row in of.rows(_last_received)}
+
+
+@cache
+def _last_orbits(is_part: bool) -> Select[*tuple[Any, ...]]:
+    other, row_of = aliased(OrbitRow), OrbitRow
     first = select(other.id).where(other.satellite_id == Satellite.id, other.withdrawn_at.is_(None))
     newest = first.order_by(other.epoch.desc(), other.id.desc()).limit(1).correlate(Satellite).scalar_subquery()
-    row_of = OrbitRow
-    statement = (
-        select(
-            Satellite.id, Satellite.norad_id, row_of.id, row_of.format, row_of.epoch, row_of.until, row_of.details,
-            row_of.created_at,
-        )
-        .select_from(Satellite).join(row_of, row_of.id == newest).where(*of(Satellite.id))
-    )  # fmt: skip
+    columns = (row_of.id, row_of.format, row_of.epoch, row_of.until, row_of.details, row_of.created_at)
+    chosen = select(Satellite.id, Satellite.norad_id, *columns).select_from(Satellite)
+    return chosen.join(row_of, row_of.id == newest).where(*_of(Satellite.id, is_part))
+
+
+def _orbits(of: _Reach) -> dict[str, OrbitFacts]:
     found = {}
-    for satellite_id, own, orbit_id, form, epoch, until, details, created in session.execute(statement):
+    for satellite_id, own, orbit_id, form, epoch, until, details, created in of.rows(_last_orbits):
         orbit = OrbitFacts(orbit_id, form, epoch, until, _norad_id(details), created)
         if is_other_object(own, orbit.norad_id):
-            orbit = replace(orbit, instead=_own_orbit(session, satellite_id, own))
+            orbit = replace(orbit, instead=_own_orbit(of.session, satellite_id, own))
         found[satellite_id] = orbit
     return found
 
@@ -302,21 +333,31 @@ def _norad_id(details: Mapping[str, object]) -> str | None:
     return None if found is None else str(found).strip() or None
 
 
-def _jobs(session: Session, of: _Reach) -> Facts:
+@cache
+def _last_jobs(is_part: bool) -> Select[*tuple[Any, ...]]:
     columns = (Job.id, Job.state, Job.request, Job.error, Job.created_at, Job.finished_at)
-    statement = _newest(
-        Job, columns, of, lambda other: other.kind == "calibration", lambda other: other.state != "cancelled"
+    return _newest(
+        Job, columns, is_part, lambda other: other.kind == "calibration", lambda other: other.state != "cancelled"
     )
-    rows = session.execute(statement).all()
-    links = _links(session, JobSession.job_id, JobSession.session_id, [row[2] for row in rows if row[3] != "succeeded"])
-    return {(row[0], row[1]): replace(JobFacts(*row[2:]), session_ids=links.get(row[2], ())) for row in rows}
 
 
-def _lives(session: Session, of: _Reach) -> Facts:
+def _jobs(of: _Reach) -> Facts:
+    rows = of.rows(_last_jobs)
+    unended = [row[2] for row in rows if row[3] != "succeeded"]
+    links = _links(of.session, JobSession.job_id, JobSession.session_id, unended)
+    return {(row[0], row[1]): _linked(JobFacts(*row[2:]), links) for row in rows}
+
+
+@cache
+def _told_lives(is_part: bool) -> Select[*tuple[Any, ...]]:
     row_of = SetLife
     columns = (row_of.parameter_set_id, row_of.until, row_of.share, row_of.is_capped)
-    statement = select(row_of.satellite_id, row_of.magnetometer_id, *columns).where(*of(row_of.satellite_id))
-    return {(row[0], row[1]): LifeFacts(*row[2:]) for row in session.execute(statement)}
+    told = select(row_of.satellite_id, row_of.magnetometer_id, *columns)
+    return told.where(*_of(row_of.satellite_id, is_part))
+
+
+def _lives(of: _Reach) -> Facts:
+    return {(row[0], row[1]): LifeFacts(*row[2:]) for row in of.rows(_told_lives)}
 
 
 def _links(
@@ -327,6 +368,10 @@ def _links(
         for one, other in session.execute(select(key, value).where(key.in_(part)).order_by(value)):
             found[one] = (*found.get(one, ()), other)
     return found
+
+
+def _linked(facts: Linked, links: Mapping[str, tuple[str, ...]]) -> Linked:
+    return replace(facts, session_ids=links[facts.id]) if facts.id in links else facts
 
 
 def _parts(ids: Sequence[str]) -> Iterator[Sequence[str]]:
@@ -355,13 +400,17 @@ def newest_change(session: Session) -> Change:
 def changed_satellites(session: Session, since: Change) -> set[str] | None:
     """Return the satellites of what was written since; None where that is more than is worth telling apart.
 
+    That something needs attention, or no longer does, follows from what is known here and changes none of it.
     Ids count as rows are written, not as they are committed: a little of what was before is looked at again.
     """
     from app.access.audit_trail import AuditEvent
     from app.outbox.tables import OutboxEntry
 
     earlier = id_before(since.audit_id, LATE_MS)
-    of_events = select(OutboxEntry.satellite_id).where(OutboxEntry.id > since.event_id - LATE_EVENTS)
+    told = (str(EventType.ATTENTION_RAISED), str(EventType.ATTENTION_CLEARED))
+    of_events = select(OutboxEntry.satellite_id).where(
+        OutboxEntry.id > since.event_id - LATE_EVENTS, OutboxEntry.type.not_in(told)
+    )
     of_audit = select(AuditEvent.satellite_id).where(AuditEvent.id > earlier)
     found: set[str] = set()
     for statement in (of_events, of_audit):

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Final
 
 import structlog
-from sqlalchemy import delete, select
+from sqlalchemy import Row, delete, select
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
@@ -41,6 +41,12 @@ REST: Final = 9.0
 JUDGED_AT_ACTIVATION: Final = 20
 """Sessions, the newest of a magnetometer, that a newly activated set is held against."""
 MONITORING_PRIORITY: Final = 10
+TOLD: Final = (
+    AttentionRaised.entry_id, AttentionRaised.satellite_id, AttentionRaised.magnetometer_id, AttentionRaised.code,
+    AttentionRaised.severity,
+)  # fmt: skip
+Told = Row[str, str, str, str, str]
+"""What the log has been told of."""
 FOLLOWED: Final = (EventType.SESSION_RECEIVED, EventType.PARAMETER_SET_ACTIVATED)
 
 log = structlog.get_logger()
@@ -124,16 +130,16 @@ def _newest_sessions(session: Session, satellite_id: str, magnetometer_id: str) 
 def tell_changes(database: Database, fleet: Fleet) -> None:
     """Tell the log what needs attention and was not told of, and what was and is over."""
     with database.read() as session:
-        found = {entry.id: entry for one in fleet.standings(session, SYSTEM) for entry in one.entries}
-        told = {row.entry_id: row for row in session.scalars(select(AttentionRaised))}
+        found = {entry.id: entry for entry in fleet.view(session, SYSTEM).entries}
+        told = {row.entry_id: row for row in session.execute(select(*TOLD))}
     raised = [entry for entry in found.values() if _is_news(entry, told.get(entry.id))]
-    over = [row for row in told.values() if row.entry_id not in found]
+    over = [row for entry_id, row in told.items() if entry_id not in found]
     if not raised and not over:
         return
     database.transact(lambda session: _tell(session, raised, over))
 
 
-def _tell(session: Session, raised: Sequence[Entry], over: Sequence[AttentionRaised]) -> None:
+def _tell(session: Session, raised: Sequence[Entry], over: Sequence[Told]) -> None:
     gone = [row.entry_id for row in over] + [entry.id for entry in raised]
     for start in range(0, len(gone), 500):
         session.execute(delete(AttentionRaised).where(AttentionRaised.entry_id.in_(gone[start : start + 500])))
@@ -149,7 +155,7 @@ def _tell(session: Session, raised: Sequence[Entry], over: Sequence[AttentionRai
     outbox.append(session, [*cleared, *(_event(entry) for entry in raised)])
 
 
-def _is_news(entry: Entry, told: AttentionRaised | None) -> bool:
+def _is_news(entry: Entry, told: Told | None) -> bool:
     return told is None or (told.severity == "watch" and entry.finding.severity == "act")
 
 

@@ -132,6 +132,8 @@ class _Auditor:
         ended: dict[tuple[str, str, datetime], list[Activation]] = {}
         for row in self._session.scalars(select(Activation).order_by(*order)):
             is_first = before is None or _sensor(before) != _sensor(row)
+            if is_first:
+                ended.clear()
             if not is_first and before is not None and (before.ended_at is None or before.ended_at > row.begun_at):
                 self.find("activation", before.id, "the activation goes on beside the one that followed it")
             previous = None if row.previous_id is None else self._session.get(Activation, row.previous_id)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import timedelta
+from datetime import datetime, timedelta
 from functools import partial
 
-from sqlalchemy import select
+from sqlalchemy import Row, literal_column, select
 from sqlalchemy.orm import Session
 
 from app.access.audit_trail import record_event
@@ -33,9 +33,7 @@ class Expired:
 def expired(database: Database) -> list[Expired]:
     """Return the sessions whose bytes may go."""
     with database.read() as session:
-        return [
-            Expired(row.id, row.satellite_id, str(row.data_until), row.size_bytes) for row in _expired_rows(session)
-        ]
+        return [Expired(one, place, str(until), size) for one, place, until, size in _expired_rows(session)]
 
 
 def remove_expired(database: Database, store: Store) -> list[Expired]:
@@ -69,15 +67,21 @@ def _expire(database: Database, session_id: str) -> bool:
         return True
 
 
-def _expired_rows(session: Session) -> list[TelemetrySession]:
-    found: list[TelemetrySession] = []
-    for satellite in session.scalars(select(Satellite).where(Satellite.retention_days.is_not(None))):
-        before = utc_now() - timedelta(days=satellite.retention_days or 0)
-        own = select(TelemetrySession).where(
-            TelemetrySession.satellite_id == satellite.id,
-            TelemetrySession.state == "closed",
-            TelemetrySession.raw_removed_at.is_(None),
-            TelemetrySession.data_until < before,
+def _expired_rows(session: Session) -> list[Row[str, str, datetime | None, int]]:
+    """Return id, satellite, end and size of the sessions that are past their retention, by satellite and end.
+
+    One look for each retention that there is: an index has the sessions that are kept by their satellite and end.
+    """
+    row_of = TelemetrySession
+    found: list[Row[str, str, datetime | None, int]] = []
+    retentions = select(Satellite.retention_days).where(Satellite.retention_days.is_not(None)).distinct()
+    for days in session.scalars(retentions.order_by(Satellite.retention_days)):
+        own = select(Satellite.id).where(Satellite.retention_days == days)
+        past = select(row_of.id, row_of.satellite_id, row_of.data_until, row_of.size_bytes).where(
+            row_of.satellite_id.in_(own),
+            row_of.state == literal_column("'closed'"),  # not a parameter: SQLite would not use the index of these
+            row_of.raw_removed_at.is_(None),
+            row_of.data_until < utc_now() - timedelta(days=days or 0),
         )
-        found.extend(session.scalars(own.order_by(TelemetrySession.id)))
+        found.extend(session.execute(past.order_by(row_of.satellite_id, row_of.data_until, row_of.id)))
     return found

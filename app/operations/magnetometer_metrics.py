@@ -75,7 +75,7 @@ class MagnetometerState(Collector):
     def collect(self) -> Iterator[Metric]:
         """Yield the gauges."""
         with self._database.read() as session:
-            every = self._fleet.standings(session, self._caller)
+            every = self._fleet.view(session, self._caller).standings
         shown, now = sorted(every, key=_rank)[: self._most], utc_now()
         yield GaugeMetricFamily("magcal_magnetometers", "Magnetometers there are.", value=len(every))
         yield GaugeMetricFamily("magcal_magnetometers_left_out", "Told of by no metric.", value=len(every) - len(shown))

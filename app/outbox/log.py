@@ -56,8 +56,12 @@ def append(session: Session, events: Iterable[Event]) -> None:
     if not rows:
         return
     connection = session.connection()
-    for row in rows:  # one by one: a position is that of the row before, and one more
-        connection.execute(APPEND[connection.dialect.name], row)
+    statement = APPEND[connection.dialect.name]
+    if connection.dialect.name == "postgresql":
+        connection.execute(statement, rows)
+    else:
+        for row in rows:  # one by one: a position is that of the row before, and one more
+            connection.execute(statement, row)
 
 
 def place_new(database: Database) -> None:

@@ -6,8 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime, timedelta
 from typing import Final
 
-from sqlalchemy import ColumnElement, Select, case, func, or_, select
+from sqlalchemy import Boolean, ColumnElement, Select, case, func, or_, select
+from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.orm import Session
+from sqlalchemy.sql.compiler import SQLCompiler
+from sqlalchemy.sql.functions import FunctionElement
 
 from app.access.audit_trail import record_event
 from app.access.caller import Caller
@@ -238,8 +241,31 @@ def matching(query: ParameterSetQuery, caller: Caller) -> list[ColumnElement[boo
     if query.until is not None:
         found.append(ParameterSet.data_from <= query.until)
     if query.at is not None:
-        found.append(ParameterSet.id.in_(_in_force(query.at, query, caller)))
+        found.append(_Among(ParameterSet.id, _in_force(query.at, query, caller).scalar_subquery()))
     return found
+
+
+class _Among(FunctionElement[bool]):
+    """Whether a column is among the values of a subquery that is asked once, before anything else.
+
+    PostgreSQL takes a plain ``IN`` for a join, and may read the whole table in the order of the list until it has met
+    enough of them.
+    """
+
+    inherit_cache = True
+    type = Boolean()
+
+
+@compiles(_Among, "sqlite")
+def _among_sqlite(element: _Among, compiler: SQLCompiler, **kw: object) -> str:
+    column, wanted = element.clauses
+    return f"{compiler.process(column, **kw)} IN {compiler.process(wanted, **kw)}"
+
+
+@compiles(_Among, "postgresql")
+def _among_postgres(element: _Among, compiler: SQLCompiler, **kw: object) -> str:
+    column, wanted = element.clauses
+    return f"{compiler.process(column, **kw)} = ANY (ARRAY {compiler.process(wanted, **kw)})"
 
 
 def _in_force(at: datetime, query: ParameterSetQuery, caller: Caller) -> Select[str | None]:

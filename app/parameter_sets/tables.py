@@ -61,6 +61,7 @@ class Activation(Base):
     __table_args__ = (
         ForeignKeyConstraint(["satellite_id", "magnetometer_id"], ["magnetometer.satellite_id", "magnetometer.id"]),
         Index(None, "satellite_id", "magnetometer_id", "begun_at"),
+        Index(None, "parameter_set_id"),
         Index(
             "ux_activation_open",
             "satellite_id",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime
+from typing import Final
 
 from sqlalchemy import (
     BigInteger,
@@ -12,10 +13,14 @@ from sqlalchemy import (
     Index,
     String,
     UniqueConstraint,
+    text,
 )
 from sqlalchemy.orm import Mapped, mapped_column
 
 from app.storage.database import Base, JsonColumn
+
+KEPT: Final = text("raw_removed_at IS NULL AND state = 'closed'")
+"""What retention looks among."""
 
 
 class TelemetrySession(Base):
@@ -30,6 +35,7 @@ class TelemetrySession(Base):
         Index(None, "satellite_id", "id"),
         Index(None, "satellite_id", "magnetometer_id", "id"),
         Index(None, "satellite_id", "magnetometer_id", "data_until"),
+        Index("ix_session_kept", "satellite_id", "data_until", sqlite_where=KEPT, postgresql_where=KEPT),
     )
 
     id: Mapped[str] = mapped_column(String(32), primary_key=True)

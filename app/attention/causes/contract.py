@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from datetime import datetime
+from datetime import datetime, timedelta
 from enum import StrEnum
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from app.attention.situation import Situation
 
@@ -48,4 +48,13 @@ class Cause(Protocol):
 
     def find(self, situation: Situation, now: datetime) -> Finding | None:
         """Return what there is of the cause at ``now``, None where there is nothing."""
+        ...
+
+
+@runtime_checkable
+class TimedCause(Cause, Protocol):
+    """A cause whose finding changes by the clock alone; any other finds the same at any time in the same situation."""
+
+    def unchanged_for(self, situation: Situation, now: datetime) -> timedelta | None:
+        """Return for how long from ``now`` on it finds the same, at least; None: for ever."""
         ...

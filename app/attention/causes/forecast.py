@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from datetime import datetime
+from datetime import datetime, timedelta
 
 from app.attention.causes.contract import Action, Finding, Severity
-from app.attention.causes.wording import activate, age, calibrate, satellite_page
+from app.attention.causes.wording import INSTANT, activate, age, age_unchanged_for, calibrate, satellite_page
 from app.attention.situation import LifeFacts, Situation
 from app.http.schemas import day_text
 
@@ -29,6 +29,13 @@ class ForecastOut:
         witness = "; the newest session still agrees with it" if is_borne_out else ""
         text = f"{_told(life, life.until, now)}{witness}; {what_to_do}"
         return Finding(severity, text, life.until, f"{active.id} {day_text(life.until)}", links, action)
+
+    def unchanged_for(self, situation: Situation, now: datetime) -> timedelta | None:
+        """Return for how long the life goes on, or its age is said the same way."""
+        until = None if situation.life is None else situation.life.until
+        if until is None:
+            return None
+        return max(until - now, INSTANT) if now <= until else age_unchanged_for(until, now)
 
 
 def _told(life: LifeFacts, until: datetime, now: datetime) -> str:

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
+from typing import Final
 
 from app.attention.causes.contract import Action
 from app.attention.situation import Situation
+
+INSTANT: Final = timedelta(microseconds=1)
+"""The least that one time differs from another."""
 
 
 def age(since: datetime, now: datetime) -> str:
@@ -15,6 +19,21 @@ def age(since: datetime, now: datetime) -> str:
     if elapsed < timedelta(days=2):
         return f"{elapsed / timedelta(hours=1):.1f} h"
     return f"{elapsed / timedelta(days=1):.1f} days"
+
+
+def age_unchanged_for(since: datetime, now: datetime) -> timedelta:
+    """Return for how long from ``now`` on `age` says the same, at least.
+
+    What is said changes where a tenth is rounded up; which side an instant there is on is left to `age`.
+    """
+    elapsed = now - since
+    is_hours = elapsed < timedelta(days=2)
+    tenth = timedelta(minutes=6) if is_hours else timedelta(hours=2.4)
+    half = tenth / 2
+    next_change = ((elapsed + half - INSTANT) // tenth + 1) * tenth - half
+    if is_hours:
+        next_change = min(next_change, timedelta(days=2))
+    return max(next_change - elapsed - INSTANT, INSTANT)
 
 
 def satellite_page(situation: Situation, part: str = "") -> str:

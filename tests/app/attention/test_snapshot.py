@@ -9,6 +9,8 @@ from sqlalchemy import update
 from app.access.caller import SYSTEM
 from app.attention import entries
 from app.attention.entries import Fleet
+from app.outbox.events import attention_changed, session_received
+from app.outbox.log import append
 from app.satellites.tables import Satellite
 from app.storage.database import Database
 
@@ -38,7 +40,7 @@ def fleet_of_two(api: httpx2.Client, names: Iterator[str]) -> tuple[str, str]:
 
 def known(database: Database, fleet: Fleet) -> dict[tuple[str, str], object]:
     with database.read() as session:
-        found = [one.situation for one in fleet.standings(session, SYSTEM)]
+        found = [one.situation for one in fleet.view(session, SYSTEM).standings]
     return {(one.satellite_id, one.magnetometer_id): one for one in found}
 
 
@@ -82,5 +84,24 @@ def test_what_no_log_tells_of_is_seen_in_turns(service, fleet_of_two, asked, mon
     assert all(len(satellites) <= 2 for satellites in asked[1:])
     assert set().union(*asked[1:]) == {satellite for satellite, _ in now}
     fleet.look_again(fleet_of_two[0])
+    known(service.database, fleet)
+    assert fleet_of_two[0] in asked[-1]
+
+
+def test_that_something_needs_attention_is_no_news_of_a_satellite(service, fleet_of_two, asked, monkeypatch) -> None:
+    monkeypatch.setattr(entries, "TRUSTED_S", 1e9)
+    monkeypatch.setattr("app.attention.situation.LATE_EVENTS", 0)
+    monkeypatch.setattr("app.attention.situation.LATE_MS", -1)
+    fleet = Fleet()
+    known(service.database, fleet)
+    with service.database.write() as session:
+        append(session, [attention_changed(is_raised=True, cause="x", reason="y", satellite_id=fleet_of_two[0])])
+    known(service.database, fleet)
+    assert not any(fleet_of_two[0] in (satellites or ()) for satellites in asked[1:])
+    with service.database.write() as session:
+        append(session, [session_received(
+            session_id="0" * 32, satellite_id=fleet_of_two[0], magnetometer_id="mgm", samples=0, data_from=None,
+            data_until=None,
+        )])  # fmt: skip
     known(service.database, fleet)
     assert fleet_of_two[0] in asked[-1]
