@@ -98,8 +98,7 @@ def _plant(connection: psycopg.Connection[tuple[object, ...]], table: str, value
     for name, _ in indexes:
         connection.execute(sql.SQL("DROP INDEX {}").format(sql.Identifier(str(name))))
     chosen = sql.SQL(", ").join(
-        sql.SQL(own[name]) if name in own else sql.SQL("seed.{}").format(sql.Identifier(name))
-        for name in columns
+        sql.SQL(own[name]) if name in own else sql.SQL("seed.{}").format(sql.Identifier(name)) for name in columns
     )
     connection.execute(
         sql.SQL("INSERT INTO {} ({}) SELECT {} FROM (SELECT * FROM {} WHERE {} LIMIT 1) seed, {}").format(
