@@ -23,7 +23,7 @@ from magcal_core.telemetry.formats import (
 )
 from magcal_core.telemetry.iso_times import Spans
 from magcal_core.telemetry.quality import LEO_FIELD_NT, MAX_BAD_FRACTION, MAX_CONFLICT_FRACTION
-from magcal_core.telemetry.text import MAX_ROWS
+from magcal_core.telemetry.text import MAX_ROWS, refuse_other_files
 from magcal_core.telemetry.time_forms import TimeForm
 from magcal_core.telemetry.validity import Validity
 
@@ -96,6 +96,7 @@ def read_telemetry(
     name = source if isinstance(source, str | Path) else getattr(source, "name", None)
     data = _read_bytes(source)
     body = decompress(data, max_bytes=max_decompressed_bytes)
+    refuse_other_files(body)
     kind = _chosen_format(format, name if isinstance(name, str | Path) else None, body)
     form = TableForm(
         TimeForm.of(time_format, time_epoch, orbit_spans), Validity.of(validity_column, list(valid_values))

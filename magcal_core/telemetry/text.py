@@ -29,6 +29,22 @@ _FOREIGN_MARKS: Final = {
 }
 
 
+def refuse_other_files(data: bytes) -> None:
+    """Refuse what is no table but a file of another kind, or a web page.
+
+    Raises
+    ------
+    TelemetryFormatError
+        It is; the message names it.
+    """
+    binary = binary_file(data)
+    if binary is not None:
+        raise TelemetryFormatError(f"this is {binary}: no text, and no table that is read")
+    page = web_page(data)
+    if page is not None:
+        raise TelemetryFormatError(f"this is {page}, not a table: a page for people, or a server's error or login")
+
+
 def checked_text(data: bytes) -> bytes:
     """Return ``data`` without its byte order mark, known to be UTF-8 without NUL.
 
@@ -36,15 +52,7 @@ def checked_text(data: bytes) -> bytes:
     ------
     EncodingError
         The text is not UTF-8 or has a NUL; the message has the byte offset.
-    TelemetryFormatError
-        It is no text but a file of another kind, or a web page; the message names it.
     """
-    foreign = binary_file(data)
-    if foreign is not None:
-        raise TelemetryFormatError(f"this is {foreign}: no text, and no table that is read")
-    page = web_page(data)
-    if page is not None:
-        raise TelemetryFormatError(f"this is {page}, not a table: a page for people, or a server's error or login")
     for mark, name in _FOREIGN_MARKS.items():
         if data.startswith(mark):
             raise EncodingError(f"the text is {name} (byte offset 0); send UTF-8")

@@ -28,6 +28,7 @@ FLAGS = [
     "--disable-sync",
 ]
 START_S = 60.0
+DRAWN_S = 60.0
 MOST_STOPS = 1000
 """Of the Tab key on any page, its figures' buttons with it."""
 COUNT_REQUESTS = """
@@ -141,6 +142,20 @@ def browser() -> Iterator[Browser]:
 def wait_until_quiet(page: Page) -> None:
     """Wait until a page that `watched` has opened has asked the service for nothing for half a second."""
     page.wait_for_function(QUIET, polling=100)
+
+
+def draw_figures(page: Page) -> None:
+    """Scroll through the page until every figure is drawn."""
+    page.locator("h1").first.wait_for()
+    wait_until_quiet(page)
+    next_one = """() => { const node = document.querySelector(".plot[aria-busy]");
+        node?.scrollIntoView(); return node === null; }"""
+    until = time.monotonic() + DRAWN_S
+    while not page.evaluate(next_one):
+        assert time.monotonic() < until, "a figure is not drawn"
+        page.wait_for_timeout(100)
+    assert page.locator('.plot[data-drawn="failed"]').count() == 0
+    page.evaluate("() => scrollTo(0, 0)")
 
 
 def check_keyboard(page: Page) -> None:

@@ -1,24 +1,20 @@
-"""Every page: readable by everyone, reachable by keyboard, alone on its machine, and fast; pictures are kept."""
+"""What pages do: tables, figures, reports, refits; the whole of each page on every screen is in `test_screens`."""
 
 import csv
 import io
-import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Browser, Page, Route, expect
+from playwright.sync_api import Browser, Route, expect
 
-from tests.browser.conftest import Service, Watched, check_keyboard, sign_in, wait_until_quiet, watched
+from tests.browser.conftest import Service, Watched, wait_until_quiet, watched
 
 pytestmark = pytest.mark.browser
 PICTURES = Path(__file__).resolve().parents[2] / "artefacts" / "pages"
 PAGES = ["overview", "satellite", "session", "parameter-set", "compare", "jobs", "keys"]
-DRAWN_S = 60.0
 DRAWN_MS = 60_000
 AT_A_GLANCE = 9
-LOOKS = [("light", 1366, 768), ("dark", 1366, 768), ("light", 2560, 1440), ("dark", 2560, 1440)]
 
 
 @pytest.fixture(scope="module")
@@ -36,48 +32,6 @@ def addresses(service: Service, satellite: str) -> dict[str, str]:
     }
 
 
-def settle(page: Page) -> None:
-    """Scroll through the page until every figure is drawn."""
-    page.locator("h1").first.wait_for()
-    wait_until_quiet(page)
-    next_one = """() => { const node = document.querySelector(".plot[aria-busy]");
-        node?.scrollIntoView(); return node === null; }"""
-    until = time.monotonic() + DRAWN_S
-    while not page.evaluate(next_one):
-        assert time.monotonic() < until, "a figure is not drawn"
-        page.wait_for_timeout(100)
-    assert page.locator('.plot[data-drawn="failed"]').count() == 0
-    page.evaluate("() => scrollTo(0, 0)")
-
-
-@pytest.fixture(scope="module", params=LOOKS, ids=lambda look: f"{look[0]}-{look[1]}")
-def looked(request: pytest.FixtureRequest, browser: Browser, service: Service) -> Iterator[tuple[Watched, str]]:
-    theme, width, height = request.param
-    context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=theme)
-    found = watched(context, service)
-    sign_in(found.page, service)
-    yield found, f"{theme}-{width}"
-    context.close()
-
-
-@pytest.mark.parametrize("name", PAGES)
-def test_a_page_is_accessible_alone_and_pictured(
-    name: str, looked: tuple[Watched, str], addresses: dict[str, str]
-) -> None:
-    window, look = looked
-    page = window.open(addresses[name])
-    settle(page)
-    PICTURES.mkdir(parents=True, exist_ok=True)
-    page.screenshot(path=PICTURES / f"{name}-{look}.png", full_page=True)
-    outside_svg = {"exclude": [[".plot svg"]]}  # the colours inside figures are checked where the figures are
-    found = Axe().run(page, outside_svg, {"runOnly": ["wcag2a", "wcag2aa", "wcag21aa", "wcag22aa", "best-practice"]})
-    violations = {one["id"]: [node["html"][:200] for node in one["nodes"]] for one in found.response["violations"]}
-    assert violations == {}
-    width = page.evaluate("() => [document.documentElement.scrollWidth, document.documentElement.clientWidth]")
-    assert width[0] <= width[1], "the page scrolls sideways"
-    window.check()
-
-
 def test_the_sign_in_page_is_accessible(browser: Browser, service: Service) -> None:
     context = browser.new_context()
     window = watched(context, service)
@@ -88,16 +42,6 @@ def test_the_sign_in_page_is_accessible(browser: Browser, service: Service) -> N
     page.screenshot(path=PICTURES / "sign-in.png")
     context.close()
     window.check()
-
-
-@pytest.mark.parametrize("name", PAGES)
-def test_everything_that_can_be_clicked_is_reached_by_keyboard(
-    name: str, window: Watched, addresses: dict[str, str]
-) -> None:
-    """Tab from the first control until it comes round again: figures have buttons of their own, in any number."""
-    page = window.open(addresses[name])
-    settle(page)
-    check_keyboard(page)
 
 
 def test_the_skip_link_leads_past_the_navigation(window: Watched) -> None:

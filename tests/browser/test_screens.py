@@ -7,7 +7,7 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page
 
-from tests.browser.conftest import Service, Watched, check_keyboard, serve, sign_in, wait_until_quiet, watched
+from tests.browser.conftest import Service, Watched, check_keyboard, draw_figures, serve, sign_in, watched
 from tests.browser.mission import Mission, fly
 
 pytestmark = pytest.mark.browser
@@ -16,8 +16,6 @@ PAGES = (
     "overview", "wall", "satellite", "magnetometer", "magnetometers", "session", "parameter-set", "compare", "jobs",
     "reprocessings", "reprocessing", "reasons", "keys", "unknown",
 )  # fmt: skip
-OTHERS = {"overview", "satellite", "session", "parameter-set", "compare", "jobs", "keys"}
-"""Those are tabbed through in `test_pages`."""
 RESIZE_S = 20.0
 SCREENS = {"wide": (2560, 1440), "laptop": (1366, 768), "laptop at 200 %": (683, 384), "phone": (390, 844)}
 """In the page's own pixels: at 200 % a laptop has half of its own."""
@@ -56,11 +54,6 @@ def screen(request: pytest.FixtureRequest, browser: Browser, flown: tuple[Servic
     context.close()
 
 
-def settle(page: Page) -> None:
-    page.locator("h1").first.wait_for()
-    wait_until_quiet(page)
-
-
 def fitted(page: Page) -> tuple[int, list[str]]:
     """How far the page is wider than the screen, and what is cut: once its figures have taken the width."""
     until = time.monotonic() + RESIZE_S
@@ -72,33 +65,33 @@ def fitted(page: Page) -> tuple[int, list[str]]:
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_a_page_fits_every_screen_and_is_accessible_on_it(
+def test_a_page_fits_every_screen_is_accessible_by_keyboard_too_and_prints(
     name: str, screen: Watched, flown: tuple[Service, Mission]
 ) -> None:
     page = screen.page
     page.set_viewport_size({"width": 1366, "height": 768})
     screen.open(flown[1].addresses[name])
-    settle(page)
+    draw_figures(page)
+    is_dark = page.evaluate("() => document.documentElement.dataset.theme === 'dark'")
     for where, (width, height) in SCREENS.items():
         page.set_viewport_size({"width": width, "height": height})
-        assert fitted(page) == (0, []), (name, where)
-        if where != "laptop at 200 %":
+        assert fitted(page) == (0, []), where
+        if where == "phone":
             continue
+        # The colours inside figures are checked where the figures are.
         found = Axe().run(page, {"exclude": [[".plot svg"]]}, RULES).response["violations"]
-        assert {one["id"]: [node["html"][:200] for node in one["nodes"]] for one in found} == {}, (name, where)
+        assert {one["id"]: [node["html"][:200] for node in one["nodes"]] for one in found} == {}, where
+    page.set_viewport_size({"width": 1366, "height": 768})
+    if not is_dark:
+        check_keyboard(page)
+    assert printed(page) == (["rgb(255, 255, 255)", "rgb(0, 0, 0)", [], []], True)
     if name == "unknown":
         screen.errors.clear()  # Chromium itself reports the answer of 404 in the console
     screen.check()
 
 
-@pytest.mark.parametrize("name", PAGES)
-def test_a_page_prints_dark_on_white_without_its_buttons(
-    name: str, screen: Watched, flown: tuple[Service, Mission]
-) -> None:
-    page = screen.page
-    page.set_viewport_size({"width": 1366, "height": 768})
-    screen.open(flown[1].addresses[name])
-    settle(page)
+def printed(page: Page) -> tuple[list[object], bool]:
+    """Return the colours of paper and title, what is dark or a button on it, and whether dark figures are turned."""
     page.emulate_media(media="print")
     colours = page.evaluate(
         """() => { const of = (node) => getComputedStyle(node);
@@ -116,23 +109,7 @@ def test_a_page_prints_dark_on_white_without_its_buttons(
            (node) => getComputedStyle(node).filter.startsWith("invert(1)"))"""
     )
     page.emulate_media(media="screen")
-    if name == "unknown":
-        screen.errors.clear()  # Chromium itself reports the answer of 404 in the console
-    assert colours == ["rgb(255, 255, 255)", "rgb(0, 0, 0)", [], []], name
-    assert turned, "figures that were drawn for a dark page are pale on paper"
-
-
-@pytest.mark.parametrize("name", [one for one in PAGES if one not in OTHERS])
-def test_everything_on_a_page_is_reached_by_keyboard(
-    name: str, screen: Watched, flown: tuple[Service, Mission]
-) -> None:
-    page = screen.page
-    page.set_viewport_size({"width": 1366, "height": 768})
-    screen.open(flown[1].addresses[name])
-    settle(page)
-    check_keyboard(page)
-    if name == "unknown":
-        screen.errors.clear()  # Chromium itself reports the answer of 404 in the console
+    return colours, bool(turned)
 
 
 @pytest.mark.parametrize(("width", "wanted"), [(390, [0, 1]), (1366, [0.35, 0.63])])

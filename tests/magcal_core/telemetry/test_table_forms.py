@@ -244,7 +244,7 @@ def archive_of(name: str) -> bytes:
         (b'<?xml version="1.0"?><html><body>Log in', "an HTML page"),
     ],
 )
-@pytest.mark.parametrize("form", [None, "csv", "ndjson", "json"])
+@pytest.mark.parametrize("form", [None, "csv", "ndjson", "json", "parquet"])
 def test_a_file_of_another_kind_is_named(content: bytes, words: str, form: str | None) -> None:
     said = message(content, format=form)
     assert words in said
